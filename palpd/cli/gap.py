@@ -227,6 +227,7 @@ def resolve(
     from palpd.config import load_config, load_plan
     from palpd.daemon import resolve as loop
     from palpd.daemon.job_client import service_at
+    from palpd.daemon.programs import counted_from_here
     from palpd.daemon.session import ForegroundHost, kept_in
     from palpd.daemon.stored_state import State
     from palpd.daemon.wiring import devices
@@ -245,8 +246,6 @@ def resolve(
         return
     check_kept(settings)
     clear_latch(settings)
-    if here:
-        State(settings.paths.state).forget("place")
     own = adopted_folder(adopted)
     known = library(effects, adopted=own)
     if own is not None and (weighed := adopted_sentence(own, known)):
@@ -255,7 +254,9 @@ def resolve(
     nominal = load_cell(cell, known) if cell else settings.cell.assumed_at_site(first_plan.sites[0].name)
     host = ForegroundHost(settings, devices, display(), agree)
     host.display.say(f"This makes at most {rounds} run{'s' * (rounds != 1)}.")
-    result = loop.resolve(loop.Setting(host, nominal, kept, known, max_depth_m, take_reference), first_plan, recordings or (), rounds)
+    setting = loop.Setting(host, nominal, kept, known, max_depth_m, take_reference)
+    with counted_from_here(State(settings.paths.state), here):
+        result = loop.resolve(setting, first_plan, recordings or (), rounds)
     terminal().print(f"Everything is kept in {kept}; the page is gap.html.")
     write_json(json_file, result)
     finish(3 if result["verdict"] == "stopped" else 0, result["reason"])

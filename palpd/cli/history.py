@@ -202,6 +202,7 @@ def _brought_up_to_date(catalogue: "Catalogue", rebuild: bool, progress: bool) -
 def _print_runs(catalogue: "Catalogue", only: "RunFilter", most: int, place: Path, json_file: Path | None) -> None:
     from palpd.cli.history_tables import runs_table
     from palpd.history.catalogue import as_json
+    from palpd.history.stored import MOST_NAMED, unfinished_recordings
 
     entries, count = catalogue.runs(replace(only, most=most)), catalogue.count(only)
     if entries:
@@ -210,7 +211,13 @@ def _print_runs(catalogue: "Catalogue", only: "RunFilter", most: int, place: Pat
         _say(f"No run in {place} is like that.")
     if count > most:
         _say(f"{count - most} older runs are not shown; --most {count} shows all.")
-    write_json(json_file, {"folder": str(place), "count": count, "runs": as_json(entries), "notes": catalogue.notes})
+    cut_off = unfinished_recordings(place)
+    newest = sorted(cut_off, reverse=True)[:MOST_NAMED]
+    if newest:
+        more = f" and {len(cut_off) - len(newest)} more" * (len(cut_off) > len(newest))
+        _say(f"Cut off, and not in this list: {', '.join(newest)}{more}; palpd recover {cut_off[newest[0]]} restores the first.")
+    words = {"folder": str(place), "count": count, "unfinished": sorted(cut_off, reverse=True)}
+    write_json(json_file, words | {"runs": as_json(entries), "notes": catalogue.notes})
 
 
 def _print_trend(catalogue: "Catalogue", site: str, only: "RunFilter", json_file: Path | None) -> None:

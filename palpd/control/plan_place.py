@@ -11,7 +11,7 @@ SITE_REACH_M = 0.005
 
 Choice = Literal["here", "return"]
 """What the operator answers: count from where the arm stands, or go back to where the unfinished run began."""
-ANSWERS = "--return goes back first, straight up and then sideways, and --here counts from where the arm stands"
+ANSWERS = "--here counts from where the arm stands, and --return of run, start and inject goes back first, straight up and then sideways"
 """What the terminal offers with the question."""
 
 

@@ -37,11 +37,8 @@ class MarkedRun:
 
     def undo(self) -> None:
         """Put back what was known before: the run has ended without a motion."""
-        for name, thing in (("contact", self._before), ("level", self._level_before)):
-            if thing is None:
-                self._state.forget(name)
-            else:
-                self._state.keep(name, thing)
+        self._state.put_back("contact", self._before)
+        self._state.put_back("level", self._level_before)
 
     def follow(self, rows: Rows) -> None:
         """Keep what the newest tick adds: a higher surface, another site, or that the start was free."""

@@ -40,6 +40,7 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
     if config.check.plate:
         _refuse_elsewhere(state)
         runs.insert(0, ("stiffness", Plan()))
+    number = 1 + max((check.number for _, check in kept_checks(config.paths.runs)), default=0)  # what is damaged is said before a motion
     before = state.last_check()
     state.keep("check", LastCheck(now(), "open", "It did not come to its end."))  # what a death of this program leaves behind
     recordings: list[Path] = []
@@ -48,7 +49,7 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
             report = host.carry_out(kind, plan)
         except PalpdError as error:
             if not recordings and error.exit_code == 2:  # nothing was moved
-                _put_back(state, before)
+                state.put_back("check", before)
             raise
         if report.exit_code or report.recording is None:
             _keep_unfinished(state, report.reason)
@@ -63,7 +64,7 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
         raise
     day = CheckedDay(now(), features, temperature_C)
     verdict, healthy, note = judge_today(config.paths.runs, day, config.check.tolerances)
-    check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note)
+    check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note, number=number)
     keep_check(puck, check)
     _keep_last(state, check)
     if verdict.changes and healthy:
@@ -97,7 +98,7 @@ def renewed_baseline(config: Config, note: str) -> dict[str, Any]:
         dates = last.day.date[:16], ended.date[:16]
         raise BadInput(f"the last finished check is of {dates[0]}, and the one of {dates[1]} is not; repeat palpd check first")
     verdict = judged([last.day], config.check.tolerances)[0]
-    check = MorningCheck(last.day, verdict, last.plate, Baseline(now(), note.strip()))
+    check = replace(last, verdict=verdict, baseline=Baseline(now(), note.strip()), diagnosis=None, note="")
     keep_check(recording, check)
     _keep_last(state, check)
     return figures_of(recording, check)
@@ -151,14 +152,6 @@ def _refuse_elsewhere(state: State) -> None:
             f"nothing was moved: the run {last.run} of {last.date} was not finished, so the arm may not stand above the plate; move it "
             "there, and repeat the check with --here"
         )
-
-
-def _put_back(state: State, before: LastCheck | None) -> None:
-    """A check that was refused before its first motion changes nothing."""
-    if before is None:
-        state.forget("check")
-    else:
-        state.keep("check", before)
 
 
 def _keep_unfinished(state: State, reason: str) -> None:

@@ -45,8 +45,10 @@ def refuse_unchecked(config: Config, plan: Plan, last: LastCheck | None, now: da
         return
     if last is None:
         raise Refused(f"no check of this cell is kept, and check.require_check_h is {most_h:g}; run palpd check first")
-    age_h = (now - datetime.fromisoformat(last.date)).total_seconds() / 3600.0
-    if not 0.0 <= age_h <= most_h:
+    age_h = (now - datetime.fromisoformat(last.date).astimezone()).total_seconds() / 3600.0
+    if age_h < 0.0:
+        raise Refused(f"the last check is dated {last.date}, after now: the clock was set back, so its age is not known; run palpd check")
+    if age_h > most_h:
         raise Refused(f"the last check is {age_h:.1f} h old, expected at most {most_h:g} h (check.require_check_h); run palpd check first")
     if last.level in ("stop", "open"):
         raise Refused(f"the last check says not to palpate. {last.sentence} Mend it and check again, or run palpd check --new-baseline")

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 
 MODULE = "palpd.history.after_run"
@@ -56,7 +57,8 @@ class RunReports:
                 self._waiting.popleft()
             self._process, self._called_off = None, False
         if self._waiting and not busy:
-            self._process = begin_report(self._waiting[0], self._folder, stays=True)
+            with suppress(OSError):  # this computer starts no process now; the next poll tries again
+                self._process = begin_report(self._waiting[0], self._folder, stays=True)
 
     def close(self) -> None:
         """Call off what is being written; palpd report makes it at any time."""

@@ -390,14 +390,11 @@ class Service:
             return
         if self._ending.is_set():
             self._run.current.interrupt(received())
-        job = self._run.current.job
-        try:
-            report = self._run.current.poll()
-        except PalpdError as error:  # the latch could not be written
-            report = Report("stopped", str(error), 3)
-            self._known.hold(report.reason)
+        job, report = self._run.current.job, self._run.current.poll()
         if report is None:
             return
+        if self._run.current.unkept:  # nor could a latch
+            self._known.hold(report.reason)
         newest = self._run.newest()
         self._known.note(report, newest)
         if self._watch is not None and robot_may_be_out(report):

@@ -3,6 +3,7 @@
 The arm stands above the field's corner at the start, and every run returns there.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -20,7 +21,7 @@ from palpd.daemon.program_host import ProgramHost
 from palpd.daemon.run_result import run_result
 from palpd.daemon.session import ForegroundHost, calibrate, kept_in
 from palpd.daemon.simulated_run import run
-from palpd.errors import RecordingError, Stopped
+from palpd.errors import RecordingError, Refused, Stopped
 from palpd.quantities import kilopascals
 from palpd.study.inclusion_field import EmulatedField
 
@@ -28,6 +29,7 @@ Place = tuple[float, float]
 Press = Callable[[Place], float]
 MOST_PRESSES = 200
 """Largest number of presses of a map: a raster of 5 mm over the standard field has 169."""
+NUMBER = re.compile(r"[\d.+-]+")
 HOME_ABOVE_M = 0.012
 """Height above the surface at which a simulated arm begins. From higher, a search at 5 mm/s only takes longer."""
 
@@ -117,7 +119,9 @@ def surveyed(press: Press, where: Field, out: Path, display: Display, most: int 
 
     try:
         search(press, where, most, survey, show_press)
-    except (Stopped, RecordingError) as error:
+    except (Stopped, RecordingError, Refused) as error:
+        if isinstance(error, Refused) and not survey.places_m:  # nothing was pressed, and nothing moved
+            raise
         return Mapped(survey, stop_reason=str(error))
     return Mapped(survey)
 
@@ -138,7 +142,7 @@ def on_the_robot(where: Field, host: ProgramHost) -> Press:
     """Presses by the daemon on a cell or on emulated wires.
 
     Args:
-        host: Carries out each press.
+        host: Carries out each press. Its display shows what makes a modulus doubtful, each kind of note once.
 
     Returns:
         The function that presses one place and returns its modulus in Pa.
@@ -147,7 +151,7 @@ def on_the_robot(where: Field, host: ProgramHost) -> Press:
         Stopped: By that function, where the run was stopped.
     """
     began = datetime.now()
-    count = 0
+    count, kinds = 0, set[str]()
 
     def press(place_m: Place) -> float:
         nonlocal count
@@ -156,7 +160,12 @@ def on_the_robot(where: Field, host: ProgramHost) -> Press:
         report = host.carry_out("palpation", plan_at(place_m, where), recording)
         if report.exit_code:
             raise Stopped(f"the press at {_millimetres(place_m)} was stopped: {report.reason}")
-        return _modulus_of(run_result(report)["sites"][0], place_m)
+        result = run_result(report)
+        for note in result["notes"]:
+            if (kind := NUMBER.sub("", note)) not in kinds:
+                kinds.add(kind)
+                host.display.say(f"note, the first of its kind, at {_millimetres(place_m)}: {note}")
+        return _modulus_of(result["sites"][0], place_m)
 
     return press
 

@@ -4,9 +4,9 @@ import datetime
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, TypeVar, cast
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ContactMarker, LevelTested, ProbeIdentity
@@ -82,11 +82,17 @@ class Latch:
     date: str
 
 
+def _dated(date: str) -> str:
+    """The date; ValueError where it is none, which pydantic turns into a fault of the file."""
+    datetime.datetime.fromisoformat(date)
+    return date
+
+
 @dataclass(frozen=True, slots=True)
 class LastCheck:
     """How the last morning check ended: its date, its level (`ok`, `warn`, `stop`; `open` until it has ended), and its sentence."""
 
-    date: str
+    date: Annotated[str, AfterValidator(_dated)]
     level: Literal["ok", "warn", "stop", "open"]
     sentence: str
 
@@ -111,9 +117,9 @@ class State:
 
     def calibration(self) -> Calibration | None:
         """The last `palpd calibrate`, if any."""
-        calibration = self._kept("calibration", Calibration, "no reference tare; run palpd calibrate again")
+        calibration = self._kept("calibration", Calibration, "no reference tare; delete it, and run palpd calibrate again")
         if calibration is not None and (len(calibration.wrench) != 6 or not all(map(math.isfinite, calibration.wrench))):
-            raise ConfigError(f"{self.folder / 'calibration.json'} holds no reference tare; run palpd calibrate again")
+            raise ConfigError(f"{self.folder / 'calibration.json'} holds no reference tare; delete it, and run palpd calibrate again")
         return calibration
 
     def marker(self) -> ContactMarker | None:
@@ -143,7 +149,7 @@ class State:
 
     def last_check(self) -> LastCheck | None:
         """The last `palpd check`, if any."""
-        return self._kept("check", LastCheck, "no check; run palpd check again")
+        return self._kept("check", LastCheck, "no check; delete it, and run palpd check again")
 
     def latch(self) -> Latch | None:
         """The reason of a stop that no operator has cleared; a file that cannot be read is one too. None where there is none."""
@@ -204,6 +210,21 @@ class State:
             raise Refused(
                 f"{path} cannot be removed ({error.strerror}); run as the service's user, on a disk that can be written"
             ) from error
+
+    def put_back(self, name: str, before: Stored | None) -> None:
+        """Leave a state file as it was.
+
+        Args:
+            name: Name of the file, without `.json`.
+            before: What it held; None: there was none.
+
+        Raises:
+            Refused: The file cannot be written or removed.
+        """
+        if before is None:
+            self.forget(name)
+        else:
+            self.keep(name, before)
 
     def _kept(self, name: str, kind: type[Kept], damaged: str) -> Kept | None:
         values = self._read(name)

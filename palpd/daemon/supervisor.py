@@ -31,7 +31,7 @@ from palpd.daemon.socket_client import LastRun, LastTick
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.tick_watch import TickWatch
 from palpd.daemon.witness import Witness
-from palpd.errors import PalpdError, RecordingError
+from palpd.errors import PalpdError, RecordingError, Refused
 from palpd.recording.header import RecordedStall, RecordedTrip, RunAbout
 from palpd.recording.mcap_file import part_of
 from palpd.recording.recorder import Recorder
@@ -60,6 +60,7 @@ CALLED_OFF_WHILE: dict[Kind, str] = {
     "observe": "while the devices were being observed",
 }
 """What a job was doing before its loop began, where it is not only opening the devices."""
+UNKEPT_PROBE = ProbeAnswer(ProbeState.UNKNOWN, ("how the last run left it could not be kept",), frozenset(("retract", "level_test")))
 LAST_TICKS = 10
 """Number of ticks before a stop that are kept for the operator: 80 ms at 125 Hz, a table that fits the terminal."""
 
@@ -224,19 +225,27 @@ def _held(stage: Stage) -> tuple[RunAbout, Recorder | None, StartedLoop | None]:
 
 
 class JobRun:
-    """One job under way. `poll` never waits; it returns a report when the job is over, the devices and the recording are closed."""
+    """One job under way. `poll` never waits; it returns a report when the job is over, the devices and the recording are closed.
+
+    Where the state folder cannot be written, `unkept` says why; the job is aborted and counts as stopped, since the arm may have moved.
+    """
 
     def __init__(self, job: Job, build: Build, ring: Ring, state: State, name: str) -> None:
         self.job, self._ring, self._state, self._name = job, ring, state, name
         self._abort_cause, self._kill_at_s, began_s = "", math.inf, time.monotonic()
+        self.unkept = ""  # why the state folder could not be written
         self._stage: Stage = Opening(began_s)
         self._first_tick, self._watch = ring.published, TickWatch(ring.published, began_s)
         ring.state = LoopState.STARTING
         ring.forget_requests()  # requests for an earlier run are void; from here on every abort counts
-        with shielded():
-            self._witness = Witness(DEVICE_PRIORITY)
-            self._motion = MotionProcess(build, ring)
-        self._motion.pipe.send(replace(job, planted=None))  # what is planted is for the recorder alone
+        try:
+            with shielded():
+                self._witness = Witness(DEVICE_PRIORITY)
+                self._motion = MotionProcess(build, ring)
+            self._motion.pipe.send(replace(job, planted=None))  # what is planted is for the recorder alone
+        except OSError as error:
+            moved = "; nothing was moved" * job.moves
+            raise Refused(f"this computer starts no process ({error.strerror}){moved}; end other programs, and try again") from error
 
     def ask(self, request: Request, cause: str = ASKED) -> None:
         """Pass a request to the loop. An abort before the loop was started calls the job off; a `cause` that is no operator is recorded."""
@@ -271,9 +280,21 @@ class JobRun:
 
     def poll(self) -> Report | None:
         """A report when the job is over, else None."""
-        while (event := self._event(self._stage)) is not None:
-            self._stage = self._next(self._stage, event)
-        return self._stage.report if isinstance(self._stage, Closed) else None
+        try:
+            while (event := self._event(self._stage)) is not None:
+                self._stage = self._next(self._stage, event)
+        except PalpdError as error:
+            if self.unkept:  # the second time it is the end of the job that cannot be kept; its recording is closed by then
+                _, _, loop = _held(self._stage)
+                probe = UNKEPT_PROBE if loop is not None and loop.marked is not None else None
+                return Report("stopped", self.unkept, 3, recording=self.closed_recording, probe=probe)
+            self.unkept = f"the run does not count as done: {error}"
+            self.ask(Request.ABORT, self.unkept)
+            return None
+        if not isinstance(self._stage, Closed):
+            return None
+        report = self._stage.report
+        return replace(report, verdict="stopped", reason=self.unkept, exit_code=3) if self.unkept else report
 
     def _next(self, stage: Stage, event: Event) -> Stage:
         """The state after an event. An event without a line here changes nothing. ARCHITECTURE.md shows the lines as a table."""
@@ -494,6 +515,8 @@ class JobRun:
         marked = loop.marked if loop is not None else None
         if marked is not None and report.exit_code == 2:
             marked.undo()
+            if self.job.kind == "palpation":  # it counts as no unfinished one: nothing has moved
+                self._state.put_back("place", self.job.last)
         elif marked is not None:
             rows = self._rows(math.ceil(END_S * self.job.config.robot.rate_Hz) + 1)
             level = closing.ended is not None and closing.ended.outcome.level
@@ -539,8 +562,6 @@ def recording_name(kind: str) -> str:
 def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float = 0.02) -> Report:
     """Poll a run until it is over. If `on_poll` fails, the run is aborted, and the error raised when the arm is at rest.
 
-    If the state folder cannot be written, the run is aborted too, and counts as stopped: the arm has moved.
-
     Args:
         on_poll: Called after each poll that found the run still under way; None: no call.
         poll_s: Pause between two polls.
@@ -552,22 +573,7 @@ def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float =
         PalpdError: `on_poll` raised it.
     """
     failure: PalpdError | None = None
-    unkept = ""
-    while True:
-        try:
-            report = run.poll()
-        except PalpdError as error:
-            if unkept:  # the second time it is the end of the run that cannot be kept; its recording is closed by then
-                return Report("stopped", unkept, 3, recording=run.closed_recording)
-            unkept = f"the run does not count as done: {error}"
-            run.ask(Request.ABORT, unkept)
-            continue
-        if report is not None:
-            if unkept:
-                report = replace(report, verdict="stopped", reason=unkept, exit_code=3)
-            if failure is not None:
-                raise failure
-            return report
+    while (report := run.poll()) is None:
         if on_poll is not None:
             try:
                 on_poll()
@@ -578,3 +584,6 @@ def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float =
                 run.ask(Request.ABORT, str(error))
                 failure, on_poll = error, None
         time.sleep(poll_s)
+    if failure is not None:
+        raise failure
+    return report

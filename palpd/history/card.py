@@ -58,10 +58,11 @@ def tare_and_guard(recording: Recording, facts: RunFacts) -> tuple[str, str]:
     if len(stretches) > 1:
         first, last = rows[stretches[0]], rows[stretches[-1]]
         moved_N, minutes = _mean_fz_N(last) - _mean_fz_N(first), float(last["now_s"][0] - first["now_s"][0]) / 60.0
-        tare.append(f"The zero moved by {moved_N:+.3f} N in {minutes:.1f} min; each press counts from the rest before it.")
+        tare.append("; ".join([f"The zero moved by {moved_N:+.3f} N in {minutes:.1f} min", *_zeros(facts)]) + ".")
     taken = header.get("reference_date")
     age_s = None if taken is None else facts["started_s"] - datetime.fromisoformat(taken).timestamp()
     age = "not recorded" if age_s is None else f"{age_s / DAY_S:.1f} days" if age_s > JUST_TAKEN_S else "that of this run"
+    age = "not known, its date is later than the run, so the clock was set back" if (age_s or 0.0) < -JUST_TAKEN_S else age
     tare.append(f"Age of the reference tare: {age}.")
     if facts["kind"] in LIFTED and not facts["dry"]:
         lifted = header.get("lifts_first") and bool(np.isin(rows["phase"], (Phase.TRAVEL, Phase.SEARCH, Phase.FREE_MOTION)).any())
@@ -73,6 +74,13 @@ def tare_and_guard(recording: Recording, facts: RunFacts) -> tuple[str, str]:
         f"reference tare {float(np.nanmax(rows['absolute_N'])):.2f} N of {safety['absolute_limit_N']:g} N. "
     )
     return " ".join(tare), guard + (f"The guard stepped in: {stepped}." if stepped else "The guard never stepped in.")
+
+
+def _zeros(facts: RunFacts) -> list[str]:
+    """From which zero the forces of a run count."""
+    corrected = "corrected by the inertial model" if facts["model_card"] else "and nothing corrects it"
+    held, pressed = (any(site[kind] for site in facts["sites"]) for kind in ("depths", "presses"))
+    return ["a hold counts from the rest before it"] * held + [f"a dynamic press counts from the tare, {corrected}"] * pressed
 
 
 def _mean_fz_N(rows: Any) -> float:

@@ -23,7 +23,7 @@ from palpd.history.remarks import remarks_of
 from palpd.history.stored import DIAGNOSIS, StoredRecording, stored_recordings
 
 FILE = "catalogue.sqlite"
-SCHEMA_NUMBER = 3
+SCHEMA_NUMBER = 4
 """Raised whenever catalogue.sql or the meaning of a column changes: a catalogue with another number is made anew."""
 BUSY_S = 10.0
 """Longest wait for another process that writes. A write takes milliseconds."""
@@ -33,6 +33,7 @@ UNREADABLE = "unreadable"
 
 AS_IN_FACTS = (
     "started_s", "kind", "dry", "verdict", "reason", "duration_s", "peak_force_N", "config_sha256", "model_sha256",
+    "machine_stiffness_N_per_m",
 )  # fmt: skip
 """Columns of a run that are facts of the same name."""
 SCHEMA = Path(__file__).with_suffix(".sql")
@@ -76,6 +77,7 @@ class RunEntry(NamedTuple):
     sensor_serial: str | None
     config_sha256: str | None
     model_sha256: str | None
+    machine_stiffness_N_per_m: float | None
     tags: tuple[str, ...]
     note: str
     sites: tuple[SiteModuli, ...] = ()

@@ -1,7 +1,8 @@
 CREATE TABLE runs (
     name BLOB PRIMARY KEY, recording TEXT NOT NULL, beside TEXT NOT NULL, started_s REAL NOT NULL,
     kind TEXT NOT NULL, dry INTEGER NOT NULL, verdict TEXT NOT NULL, reason TEXT NOT NULL, duration_s REAL, ticks INTEGER, missed INTEGER,
-    peak_force_N REAL, cut_short INTEGER, robot_host TEXT, sensor_serial TEXT, config_sha256 TEXT, model_sha256 TEXT, facts TEXT NOT NULL,
+    peak_force_N REAL, cut_short INTEGER, robot_host TEXT, sensor_serial TEXT, config_sha256 TEXT, model_sha256 TEXT,
+    machine_stiffness_N_per_m REAL, facts TEXT NOT NULL,
     tags TEXT NOT NULL DEFAULT '', note TEXT NOT NULL DEFAULT '', remarks TEXT NOT NULL DEFAULT ''
 );
 CREATE INDEX runs_by_time ON runs (started_s);

@@ -42,6 +42,7 @@ class MorningCheck:
         baseline: Where this check is the first of a new baseline, who wants it so.
         diagnosis: What `palpd diagnose --healthy` said of the puck's recording, as its out.json; None where nothing had changed.
         note: How the configuration computes the puck's modulus otherwise than at the check before; empty where it does not.
+        number: Its place in the order of the checks, whatever the clock said; 0 in those of older versions, whose dates order them.
     """
 
     day: CheckedDay
@@ -50,6 +51,7 @@ class MorningCheck:
     baseline: Baseline | None = None
     diagnosis: dict[str, Any] | None = None
     note: str = ""
+    number: int = 0
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -67,7 +69,7 @@ def kept_checks(folder: Path) -> list[tuple[Path, MorningCheck]]:
         BadInput: A file is damaged, or the folder cannot be read.
     """
     checks = [(path.with_name(path.name.removesuffix(CHECK) + RECORDING), check_of(path)) for path in stored_beside(folder, CHECK)]
-    return sorted(checks, key=lambda each: datetime.fromisoformat(each[1].day.date).timestamp())
+    return sorted(checks, key=lambda each: (each[1].number, datetime.fromisoformat(each[1].day.date).timestamp()))
 
 
 def check_of(path: Path) -> MorningCheck:
@@ -77,9 +79,9 @@ def check_of(path: Path) -> MorningCheck:
         datetime.fromisoformat(check.day.date)
         return check
     except ValidationError as error:
-        raise BadInput(f"{path} holds no check ({error.error_count()} faults); move it away, or repeat palpd check") from error
+        raise BadInput(f"{path} holds no check ({error.error_count()} faults); move it away, and repeat palpd check") from error
     except ValueError as error:
-        raise BadInput(f"{path} holds no check ({error}); move it away, or repeat palpd check") from error
+        raise BadInput(f"{path} holds no check ({error}); move it away, and repeat palpd check") from error
 
 
 def keep_check(recording: Path, check: MorningCheck) -> Path:

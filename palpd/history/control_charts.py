@@ -181,7 +181,7 @@ def judged(days: Sequence[CheckedDay], tolerances: CheckTolerances) -> list[DayV
     """Judge every day by the healthy days before it.
 
     Args:
-        days: The days since the baseline, oldest first; the first one is the commissioning.
+        days: The days since the baseline, oldest first; the first one that has a figure is its commissioning.
 
     Returns:
         One verdict a day. A day on which something changed teaches the charts nothing.
@@ -191,9 +191,10 @@ def judged(days: Sequence[CheckedDay], tolerances: CheckTolerances) -> list[DayV
         healthy = [each for each, verdict in zip(days, verdicts, strict=False) if verdict.level == "ok"]
         before = verdicts[-1] if verdicts else None
         points = tuple(
-            _since(_point(name, day, healthy, days[0], tolerances, before), before, day.date)
+            _since(_point(name, day, healthy, first, tolerances, before), before, day.date)
             for name in WATCHED
-            if getattr(day.features, name) is not None and getattr(days[0].features, name) is not None
+            if getattr(day.features, name) is not None
+            for first in [next(each for each in days if getattr(each.features, name) is not None)]
         )
         changed = [point for point in points if point.changed]
         grave = any(_size(point) >= GRAVE for point in changed)

@@ -38,7 +38,7 @@ class Slope:
 
 @dataclass(frozen=True, slots=True)
 class ModulusPoint:
-    """A site in one run."""
+    """A site in one run, and what else may change its moduli."""
 
     run: str
     started: str
@@ -46,6 +46,8 @@ class ModulusPoint:
     moduli: SiteModuli
     config_sha256: str | None = None
     model_sha256: str | None = None
+    machine_stiffness_N_per_m: float | None = None
+    sensor_serial: str | None = None
 
 
 def modulus_points(entries: Sequence[RunEntry], site: str) -> list[ModulusPoint]:
@@ -58,7 +60,16 @@ def modulus_points(entries: Sequence[RunEntry], site: str) -> list[ModulusPoint]
         One point a run that has pressed it.
     """
     points = [
-        ModulusPoint(run.name, run.started, run.started_s, each, run.config_sha256, run.model_sha256)
+        ModulusPoint(
+            run.name,
+            run.started,
+            run.started_s,
+            each,
+            run.config_sha256,
+            run.model_sha256,
+            run.machine_stiffness_N_per_m,
+            run.sensor_serial,
+        )
         for run in entries
         for each in run.sites
         if each.site == site
@@ -93,14 +104,16 @@ def change_notes(points: Sequence[ModulusPoint]) -> list[str]:
         points: As `modulus_trend` gives them.
 
     Returns:
-        One sentence for the configuration and one for the inertial model, each where it changed.
+        One sentence each for configuration, inertial model, stiffness of the machine and sensor, where it changed.
     """
     notes = []
-    for what, hashes in (
+    for what, values in (
         ("configuration", [point.config_sha256 for point in points]),
         ("inertial model", [point.model_sha256 for point in points]),
+        ("stiffness of the machine", [point.machine_stiffness_N_per_m for point in points]),
+        ("sensor", [point.sensor_serial for point in points]),
     ):
-        changes = [number for number, (one, other) in enumerate(pairwise(hashes)) if one != other]
+        changes = [number for number, (one, other) in enumerate(pairwise(values)) if one != other]
         if changes:
             before, after = points[changes[-1]].run, points[changes[-1] + 1].run
             notes.append(

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from palpd.daemon.motion_job import Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.stiffness_survey import in_simulation, on_the_robot, surveyed
 from palpd.daemon.supervisor import Report
-from palpd.errors import BadInput, RecordingError, Stopped
+from palpd.errors import BadInput, RecordingError, Refused, Stopped
 from palpd.study.inclusion_field import EmulatedField
 
 HOLDS_M = np.tile(np.arange(1, 11) / 1000.0, 2)
@@ -147,12 +148,14 @@ class Arm:
     def __init__(self, field: EmulatedField, stopped_in: int | None = None) -> None:
         self.at_m, self.runs, self._field, self._stopped_in = (0.0, 0.0), 0, field, stopped_in
 
-    config, display = Config(), NoDisplay()
+    config, display, refused_in = Config(), NoDisplay(), 0
 
     def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
         self.runs += 1
         if self.runs == self._stopped_in:
             return Report("stopped", "the contact limit was reached", 3)
+        if self.runs == self.refused_in:
+            raise Refused("the force moved by 0.3 N during the tare")
         (site,) = plan.sites
         self.at_m = (site.x_m, site.y_m)
         return Report("done")
@@ -163,8 +166,8 @@ class Arm:
     def approve(self, motion: ProposedMotion) -> bool:
         raise AssertionError("a map asks for no consent")
 
-    def run_result(self, report: Report) -> dict[str, list[dict[str, float]]]:
-        return {"sites": [{"dynamic_corrected_Pa": self._field.press(self.at_m)}]}
+    def run_result(self, report: Report) -> dict[str, list[Any]]:
+        return {"sites": [{"dynamic_corrected_Pa": self._field.press(self.at_m)}], "notes": [f"a cable pulls by {self.runs} N"]}
 
 
 @pytest.mark.parametrize("stopped_in", [None, 3])
@@ -189,3 +192,20 @@ def test_the_robot_goes_from_place_to_place_and_a_stop_keeps_what_was_pressed(
         assert "was stopped: the contact limit was reached" in reason
         assert len(survey.places_m) == stopped_in - 1
         assert not stiffness_map.done
+
+
+def test_a_map_shows_each_kind_of_doubt_once_and_a_press_that_is_refused_keeps_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A map of hours whose next tare was refused ended without a picture, and what a run says of its moduli was not said of a map's."""
+    where, lines = Field(), list[str]()
+    arm = Arm(EmulatedField(where, 1))
+    arm.refused_in = 4
+    monkeypatch.setattr(arm.display, "say", lines.append)
+    monkeypatch.setattr(mapping_robot, "run_result", arm.run_result)
+    mapped = surveyed(on_the_robot(where, arm), where, tmp_path / "map.png", NoDisplay())
+    assert (len(mapped.survey.places_m), mapped.stop_reason) == (3, "the force moved by 0.3 N during the tare")
+    assert [line.partition(": ")[2] for line in lines] == ["a cable pulls by 1 N"]
+    arm.runs, arm.refused_in = 0, 1
+    with pytest.raises(Refused):
+        surveyed(on_the_robot(where, arm), where, tmp_path / "other.png", NoDisplay())

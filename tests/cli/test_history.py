@@ -55,6 +55,14 @@ def test_runs_are_listed_tagged_filtered_and_written_as_json(runs: Path, tmp_pat
     assert "made anew from 3 recordings" in typed("runs", "--rebuild", "--folder", runs).stdout
 
 
+def test_a_recording_that_was_cut_off_is_named_with_the_command_that_restores_it(tmp_path: Path) -> None:
+    """After a loss of power the run of the day before was in no list, and nothing said that it can be had."""
+    (tmp_path / "20261126-101500-palpation.part").write_bytes(b"half")
+    listed = typed("runs", "--folder", tmp_path, "--json", tmp_path / "runs.json").stdout
+    assert f"20261126-101500-palpation; palpd recover {tmp_path / '20261126-101500-palpation.part'} restores" in listed
+    assert json.loads((tmp_path / "runs.json").read_text())["unfinished"] == ["20261126-101500-palpation"]
+
+
 LONG = "palpation-20261122-233001-of-the-sample-of-november"
 
 

@@ -13,7 +13,7 @@ def test_a_start_over_another_site_of_an_unfinished_run_is_asked_about() -> None
     assert "run-7 of yesterday" in asked
     assert "90 mm from where it began, at its site B" in asked
     assert "--" not in asked, "the page and the terminal name the answers in their own words"
-    assert "--return" in ANSWERS
+    assert "--return of run, start and inject" in ANSWERS, "map, resolve and check have no such option"
     assert "--here" in ANSWERS
 
 

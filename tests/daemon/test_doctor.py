@@ -222,6 +222,8 @@ def test_the_stored_state_is_judged(tmp_path: Path) -> None:
     assert named(stored.examine_stored(config(tmp_path)), "reference tare").verdict == "warn"
     State(tmp_path).keep("latch", Latch("9 N across", "yesterday"))
     assert "9 N across" in named(stored.examine_stored(config(tmp_path)), "latch").measured
+    State(tmp_path).folder.joinpath("contact.json").write_text("{half")
+    assert "contact.json" in named(stored.examine_stored(config(tmp_path)), "contact").measured
     absent = config(tmp_path, model={"path": str(tmp_path / "none.onnx")})
     assert named(stored.examine_stored(absent), "inertial model").verdict == "fail"
 

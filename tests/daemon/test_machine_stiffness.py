@@ -51,6 +51,10 @@ def test_a_plate_is_kept_and_a_machine_softer_than_any_mount_is_refused_and_not_
     assert machine.stiffness_N_per_m == pytest.approx(1.0 / (1.0 / 50e3 + 1e-6), rel=0.03)
 
 
+def test_a_machine_whose_stiffness_nobody_measured_is_said(config: Config) -> None:
+    assert (finding(config).verdict, finding(config).measured) == ("warn", "none: arm, mount and sensor count as rigid")
+
+
 def test_no_palpation_counts_with_a_machine_that_is_too_soft_and_it_can_be_measured_again(config: Config) -> None:
     kept(config, 900.0)
     with pytest.raises(ConfigError, match=r"stiffness\.json holds 0\.9 N for 1 mm, expected at least 10 N"):

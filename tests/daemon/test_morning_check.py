@@ -22,7 +22,7 @@ from palpd.daemon.required_check import check_plan, refuse_unchecked
 from palpd.daemon.simulated_run import run
 from palpd.daemon.stored_state import LastCheck, Latch, State, now
 from palpd.daemon.supervisor import Report
-from palpd.errors import BadInput, PalpdError, Refused, SensorError
+from palpd.errors import BadInput, ConfigError, PalpdError, Refused, SensorError
 from palpd.history.check_days import kept_checks, since_baseline
 from palpd.testing.simulated_recording import write_rows
 
@@ -103,6 +103,27 @@ def test_a_check_measures_what_the_cell_has_and_a_second_one_finds_the_change(co
         program.renewed_baseline(config, "new mount")
 
 
+def test_checks_are_in_the_order_of_their_making_where_the_clock_was_set_back(config: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The newest check was judged and shown as the oldest, and a new baseline of it was refused with "repeat palpd check first"."""
+    monkeypatch.setattr(program, "compared", lambda healthy, today: {})
+    for date in ("2026-12-24T08:00:00+01:00", "2026-11-24T08:00:00+01:00"):
+        monkeypatch.setattr(program, "now", lambda date=date: date)
+        program.morning_check(SimulatedHost(config), None)
+    assert [check.day.date[:7] for _, check in kept_checks(config.paths.runs)] == ["2026-12", "2026-11"]
+    renewed = program.renewed_baseline(config, "new mount")
+    assert renewed["date"].startswith("2026-11")
+    assert len(since_baseline(kept_checks(config.paths.runs))) == 1
+
+
+def test_a_kept_check_that_cannot_be_read_is_said_before_the_arm_moves(config: Config) -> None:
+    config.paths.runs.mkdir()
+    (config.paths.runs / "odd.check.json").write_text("{}")
+    host = SimulatedHost(config)
+    with pytest.raises(BadInput, match=r"odd\.check\.json holds no check"):
+        program.morning_check(host, None)
+    assert (host.runs, State(config.paths.state).last_check()) == (0, None)
+
+
 def test_another_number_of_the_configuration_is_said_and_is_no_change_of_the_puck(config: Config) -> None:
     bare = config.model_copy(update={"check": CheckConfig()})
     program.morning_check(SimulatedHost(bare), None)
@@ -127,7 +148,7 @@ def test_a_new_baseline_needs_a_check(config: Config) -> None:
     [
         (None, "no check of this cell is kept"),
         (LastCheck((NOW - timedelta(hours=25)).isoformat(), "ok", ""), "the last check is 25.0 h old, expected at most 24 h"),
-        (LastCheck((NOW + timedelta(hours=1)).isoformat(), "ok", ""), "the last check is -1.0 h old"),
+        (LastCheck((NOW + timedelta(hours=1)).isoformat(), "ok", ""), "after now: the clock was set back, so its age is not known"),
         (LastCheck(NOW.isoformat(), "stop", "The force comes later."), "says not to palpate. The force comes later."),
     ],
 )
@@ -144,6 +165,16 @@ def test_a_palpation_without_its_check_is_refused(config: Config, last: LastChec
 def test_a_fresh_check_that_warns_lets_a_palpation_through(config: Config) -> None:
     asks = config.model_copy(update={"check": CheckConfig(require_check_h=24.0)})
     refuse_unchecked(asks, Plan(), LastCheck((NOW - timedelta(hours=1)).isoformat(), "warn", "The puck has changed."), NOW)
+
+
+@pytest.mark.parametrize("content", ['{"a": 1}', '{"date": "yesterday", "level": "ok", "sentence": "Nothing has changed."}'])
+def test_a_kept_check_that_is_damaged_is_refused_with_a_way_out_that_leads_on(config: Config, content: str) -> None:
+    """It said to run palpd check, which reads the same file, and a date that is none was a traceback."""
+    state = State(config.paths.state)
+    state.keep("check", LastCheck(now(), "ok", "Nothing has changed."))
+    (state.folder / "check.json").write_text(content)
+    with pytest.raises(ConfigError, match=r"check\.json holds no check; delete it, and run palpd check again"):
+        program.morning_check(SimulatedHost(config), None)
 
 
 def test_a_check_clears_no_latch(config: Config) -> None:
@@ -212,5 +243,11 @@ def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_
     with pytest.raises(Refused, match=r"the run a-run of 2026-11-22 was not finished.*with --here"):
         program.morning_check(host, None)
     assert host.runs == 0
+    last = State(config.paths.state).place()
+    (config.paths.state / "check.json").write_text("{}")
+    with pytest.raises(ConfigError, match="holds no check"):
+        PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
+    assert (host.runs, State(config.paths.state).place()) == (0, last), "the word counted for a check that was refused"
+    (config.paths.state / "check.json").unlink()
     end = PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
     assert (end.verdict, end.figures["level"]) == ("done", "ok")

@@ -56,6 +56,21 @@ def test_nothing_is_written_while_something_runs(begun: list[tuple[Path, Any]]) 
     assert [recording.name for recording, _ in begun] == ["a.mcap"]
 
 
+def test_a_report_waits_where_this_computer_starts_no_process(begun: list[tuple[Path, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The service ended with a traceback."""
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(24, "Too many open files")
+
+    reports = RunReports(Path("runs"))
+    reports.add(Path("a.mcap"))
+    with monkeypatch.context() as without:
+        without.setattr(run_reports, "begin_report", full)
+        reports.poll(busy=False)
+    reports.poll(busy=False)
+    assert [recording.name for recording, _ in begun] == ["a.mcap"]
+
+
 def test_reports_are_written_one_after_the_other(begun: list[tuple[Path, Any]]) -> None:
     reports = RunReports(Path("runs"))
     for name in ("a.mcap", "b.mcap"):

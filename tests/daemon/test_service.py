@@ -16,17 +16,18 @@ import pytest
 
 from hw.emulators.process import Emulated, started
 from palpd.cli.at_once import position
-from palpd.config import Config, load_config, parse_config
+from palpd.config import Config, Plan, load_config, parse_config
 from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.control_socket import Later
 from palpd.daemon.install import UNITS, installed, unit_python
 from palpd.daemon.motion_job import Job
 from palpd.daemon.robot_stops import ProtectiveStops
 from palpd.daemon.service import Service
+from palpd.daemon.session import job as session_job
 from palpd.daemon.socket_client import ask
 from palpd.daemon.stored_state import Calibration, Latch, State
 from palpd.daemon.supervisor import Report
-from palpd.errors import Refused
+from palpd.errors import ConfigError, Refused
 from palpd.recording.reader import Recording
 from palpd.recording.recovery import recover
 from palpd.testing.fixtures import skip_without_ur_rtde
@@ -47,11 +48,9 @@ class ScriptedRun:
     """Stands for a run under way; `ends_with` is what the next poll reports."""
 
     def __init__(self, job: Job, *_: Any) -> None:
-        self.job, self.ends_with, self.asked, self.recording = job, None, [], None  # type: ignore[var-annotated]
+        self.job, self.ends_with, self.asked, self.recording, self.unkept = job, None, [], None, ""  # type: ignore[var-annotated]
 
     def poll(self) -> Report | None:
-        if isinstance(self.ends_with, Exception):
-            raise self.ends_with
         return self.ends_with
 
     def ask(self, request: Request) -> None:
@@ -70,7 +69,7 @@ def settings(folder: Path, **more: Any) -> Config:
     return parse_config({"paths": {"state": str(folder / "state"), "runs": str(folder / "runs")}, **more}, "the test's configuration")
 
 
-def end(service: Service, report: Report | Exception) -> None:
+def end(service: Service, report: Report) -> None:
     service._run.current.ends_with = report  # type: ignore[union-attr]
     service._poll_run()
 
@@ -211,7 +210,8 @@ def test_a_latch_that_cannot_be_read_is_one(service: Service) -> None:
 def test_a_latch_that_cannot_be_written_holds_all_the_same(service: Service) -> None:
     armed(service)
     service.answer({"do": "start", "plan": PLAN})
-    end(service, Refused("state/latch.json cannot be written (no space left)"))
+    service._run.current.unkept = why = "state/latch.json cannot be written (no space left)"  # type: ignore[union-attr]
+    end(service, Report("stopped", why, 3))
     assert "no space left" in refusal(service, do="arm")
     service.answer({"do": "clear"})
     assert isinstance(service.answer({"do": "arm"}), Later)
@@ -226,7 +226,7 @@ def test_a_run_that_fails_is_held_by_nobody_so_that_its_motion_process_stops_the
     run = weakref.ref(service._run.current)  # type: ignore[arg-type]
 
     def failing(_: ScriptedRun) -> Report:
-        raise Refused("state/contact.json cannot be written (no space left)")
+        return Report("stopped", "state/contact.json cannot be written (no space left)", 3)
 
     monkeypatch.setattr(ScriptedRun, "poll", failing)
     later = service.answer({"do": "pause"})
@@ -273,6 +273,8 @@ def test_a_damaged_reference_tare_is_refused(service: Service, wrench: Any) -> N
     path = service._state.folder / "calibration.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "wrench": wrench}))
     assert "palpd calibrate" in refusal(service, do="arm")
+    with pytest.raises(ConfigError, match="delete it, and run palpd calibrate again"):  # a calibration reads the same file
+        session_job("calibrate", service._config, Plan())
 
 
 def test_a_retract_needs_neither_arming_nor_a_cleared_latch_and_leaves_the_latch(service: Service) -> None:

@@ -94,6 +94,9 @@ class Bench:
     def keep(self, name: str, _: Any) -> None:
         self.did(f"keep {name}")
 
+    def put_back(self, name: str, before: object) -> None:
+        self.did(f"put {name} back to {before}")
+
     def motion(self, *_: Any) -> Any:
         def join(timeout_s: float | None = None) -> None:
             self.alive = self.alive and timeout_s is not None
@@ -346,7 +349,36 @@ def test_a_run_whose_end_cannot_be_kept_is_stopped_and_not_refused_as_if_nothing
     assert bench.run.poll() is None
     EVENTS["motion process and recorder ended"](bench)
     bench.unkept = Refused("contact.json cannot be written")
-    report = supervisor.wait(bench.run)
+    assert bench.run.poll() is None
+    report = bench.run.poll()
+    assert report is not None
     assert (report.verdict, report.exit_code) == ("stopped", 3)
-    assert report.reason == "the run does not count as done: contact.json cannot be written"
+    assert report.reason == bench.run.unkept == "the run does not count as done: contact.json cannot be written"
     assert bench.run._abort_cause == report.reason
+    assert report.probe is not None, "what an older look says of the probe does not hold any more"
+    assert report.probe.state == ProbeState.UNKNOWN
+
+
+def test_a_computer_that_starts_no_process_refuses_the_run(fresh: Fresh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The service ended with a traceback, since it answers refusals only."""
+    bench = fresh("Opening")
+
+    def full(*_: object) -> None:
+        raise OSError(24, "Too many open files")
+
+    monkeypatch.setattr(supervisor, "MotionProcess", full)
+    with pytest.raises(Refused, match=r"starts no process \(Too many open files\); nothing was moved"):
+        bench.begin(tmp_path)
+
+
+def test_a_run_whose_start_was_refused_at_its_tare_is_not_unfinished(fresh: Fresh) -> None:
+    """The next start elsewhere was asked for --return or --here, and a check was refused, because of a run that had moved nothing."""
+    bench = fresh("Running")
+    bench.messages.append(Ended(Outcome("stopped", "the probe may touch", refused=True), (), (), None))
+    bench.run.poll()
+    bench.alive, bench.answered = False, True
+    bench.effects.clear()
+    report = bench.run.poll()
+    assert report is not None
+    assert report.exit_code == 2
+    assert bench.effects == ["close recording", "put marker back", "put place back to None"]

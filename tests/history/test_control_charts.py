@@ -116,6 +116,16 @@ def test_a_cell_without_a_plate_has_no_play() -> None:
     assert "play_m" not in [point.figure for point in verdict.points]
 
 
+def test_a_plate_that_came_later_is_watched_from_its_first_day_on() -> None:
+    """It was pressed each morning, and neither play nor the stiffness of the machine was judged, without a word."""
+    days = healthy(32)
+    bare = [replace(day, features=replace(day.features, play_m=None, plate_stiffness_N_per_m=None)) for day in days[:12]]
+    loose = [changed(day, plate_stiffness_N_per_m=-4700.0) for day in days[30:]]
+    verdicts = judged([*bare, *days[12:30], *loose], CheckTolerances())
+    assert not any("machine" in verdict.causes for verdict in verdicts[:30])
+    assert verdicts[-1].causes == ("machine",)
+
+
 def test_kept_checks_are_in_the_order_of_time_where_the_clocks_go_back(tmp_path: Path) -> None:
     for name, date in (("summer", "2026-10-25T02:30:00+02:00"), ("winter", "2026-10-25T02:10:00+01:00")):
         keep_check(tmp_path / f"{name}.mcap", MorningCheck(CheckedDay(date, TYPICAL), DayVerdict("ok", (), ())))

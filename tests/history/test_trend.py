@@ -73,6 +73,8 @@ def test_a_trend_over_another_tip_or_model_says_so(runs: Path) -> None:
     assert "the configuration changed within this trend, last before day-2 (changes: 1)" in note
     assert "palpd report day-2 --beside day-1" in note
     assert len(change_notes([replace(alike[0], model_sha256="a model"), *alike[1:]])) == 1
+    stiff = replace(alike[2], machine_stiffness_N_per_m=48e3, sensor_serial="ISE222")
+    assert [note.partition(" changed")[0] for note in change_notes([*alike[:2], stiff])] == ["the stiffness of the machine", "the sensor"]
 
 
 def test_a_day_is_one_of_this_time_zone_and_what_is_none_is_refused() -> None:

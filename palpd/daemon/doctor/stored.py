@@ -13,7 +13,7 @@ OLD_DAYS = 365.0
 
 
 def examine_stored(config: Config) -> list[Finding]:
-    """Reference tare, stiffness of the machine, latch and inertial model."""
+    """Reference tare, stiffness of the machine, latch and inertial model; of what else is kept only what cannot be read."""
     state = State(config.paths.state)
     findings = []
     try:
@@ -27,6 +27,16 @@ def examine_stored(config: Config) -> list[Finding]:
             else Finding("reference tare", "warn", "none", "run palpd calibrate with the probe free and still")
         )
     findings += examine_machine_stiffness(config)
+    for name, read in (
+        ("contact", state.marker),
+        ("level test", state.level),
+        ("last place", state.place),
+        ("last check", state.last_check),
+    ):
+        try:
+            read()
+        except PalpdError as error:
+            findings.append(Finding(name, "fail", str(error)))
     latch = state.latch()
     if latch is not None:
         findings.append(Finding("latch", "warn", f"{latch.reason} ({latch.date})", "inspect the cell, then palpd clear"))
@@ -42,7 +52,7 @@ def examine_stored(config: Config) -> list[Finding]:
 
 
 def examine_machine_stiffness(config: Config) -> list[Finding]:
-    """The stiffness of the machine that a run would count with, against the sensor of the reference tare; nothing where none is kept."""
+    """The stiffness of the machine that a run would count with, against the sensor of the reference tare; nothing where it is stated."""
     state, name = State(config.paths.state), "machine stiffness"
     if config.machine.stiffness_N_per_m is not None:
         return []
@@ -51,7 +61,7 @@ def examine_machine_stiffness(config: Config) -> list[Finding]:
     except PalpdError as error:
         return [Finding(name, "fail", str(error))]
     if machine is None:
-        return []
+        return [Finding(name, "warn", "none: arm, mount and sensor count as rigid", "put a rigid plate under the probe; palpd stiffness")]
     try:
         calibration = state.calibration()
     except PalpdError:  # the finding on the reference tare says it
