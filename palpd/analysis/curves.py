@@ -55,8 +55,9 @@ class Mapping:
 class Curve:
     """One force curve in SI: `height_m` (n,) up positive, `force_N` (n,) compression positive, `t_s` (n,) or None.
 
-    `sign` turns a height back onto the axis of the column it came from, `columns` names force and length columns, `skipped` counts
-    the rows before and after the numbers (the header row is not one of them). `place_m` (n, 2) is where the tip was, or None.
+    `sign` turns a height back onto the axis of the column it came from, `columns` names force and length columns, `below` is what stands
+    below these names. `skipped` counts the rows before and after the numbers (the header row is not one of them). `place_m` (n, 2) is
+    where the tip was, or None.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Curve:
     t_s: Floats | None
     sign: float
     columns: tuple[str, str]
+    below: tuple[str, str] = ("", "")
     skipped: int = 0
     place_m: Floats | None = None
 
@@ -114,6 +116,7 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
     if names == list(OWN):  # other machines may round their time, and nothing but an import needs it
         refuse_values({"t_s": values[:, 2]}, path.name)
     sign = -1.0 if mapping.depth_column is not None or mapping.height_down_positive else 1.0
+    below = dict(zip(header, cells_of(lines[at + 1], delimiter), strict=False))
     return Curve(
         name=path.name,
         height_m=sign * values[:, 1] * LENGTH_UNITS[mapping.length_unit],
@@ -121,6 +124,7 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
         t_s=values[:, 2] if time is not None else None,
         sign=sign,
         columns=(force, length),
+        below=(below.get(force, ""), below.get(length, "")),
         skipped=table.skipped,
         place_m=values[:, -2:] if places else None,
     )

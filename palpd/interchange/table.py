@@ -271,7 +271,8 @@ def _header(
             refuse_decimal_commas(path.name, cells, cells_of(lines[begin], separator), separator or " ")
         return set(), tuple(f"column {number + 1}" for number in range(width)), ("",) * width
     number, cells = fitting[0]
-    if len(fitting) > 1 and all(not cell or unit_named("", cell) or cell.startswith(("(", "[")) for cell in cells):
+    known = sum(1 for cell in cells if unit_named("", cell) or cell.startswith(("(", "[")))
+    if len(fitting) > 1 and known >= 2 and 2 * known >= sum(1 for cell in cells if cell):  # one may be in °C
         return {number, fitting[1][0]}, tuple(fitting[1][1]), tuple(cell.strip("()[]") for cell in cells)
     return {number}, tuple(cells), ("",) * width
 

@@ -86,6 +86,9 @@ def test_an_unnamed_unit_is_si_and_said_and_a_size_that_is_impossible_is_questio
         read_files([deep], ImportOptions("F", height_column="z", time_columns=("t",)))
     with pytest.raises(BadInput, match=r"the stroke of z_m is 4 m, expected 0 to 1 m .* or accept it with --accept-implausible"):
         read_files([deep], ImportOptions("F", height_column="z", time_columns=("t",), length_unit="m"))
+    odd = written(tmp_path, table("t,F (cps),z", T_S, FORCE_N, -DEPTH_M), "odd.csv")
+    with pytest.raises(BadInput, match=r"palpd guesses that F \(cps\) is a force in N; .* or give --force-unit N"):
+        read_files([odd], ImportOptions("F (cps)", height_column="z", time_columns=("t",)))
     late = written(tmp_path, table("t,F,z", T_S * 1e3, FORCE_N, -DEPTH_M), "late.csv")
     with pytest.raises(BadInput, match="t is a time in ms"):
         read_files([late], ImportOptions("F", height_column="z", time_columns=("t",)))
@@ -100,10 +103,15 @@ def test_an_unnamed_unit_is_si_and_said_and_a_size_that_is_impossible_is_questio
         ("t_s,load,z_m", 0.1, {"force_unit": "V", "force_N_per_V": 10.0}),
         ("t_s,load (V),z_m", 0.1, {"force_N_per_V": 10.0}),
         ("t_s,LOAD (KIP),z_m", 1.0 / 4448.2216152605, {"force_unit": "kip"}),
+        ("t_s,Load (KN),z_m", 1e-3, {"units_confirmed": True}),
+        ("t_s,Force (g),z_m", 1.0 / 9.80665e-3, {"units_confirmed": True}),
+        ("t_s,Load_kg,z_m", 1.0 / 9.80665, {"units_confirmed": True}),
+        ("t_s,Force [cN],z_m", 100.0, {"units_confirmed": True}),
+        ("t_s,F,z_m,T\ns,mN,m,°C", 1e3, {"units_confirmed": True}),
     ],
 )
 def test_forces_in_other_units(tmp_path: Path, header: str, factor: float, options: dict[str, object]) -> None:
-    path = written(tmp_path, table(header, T_S, FORCE_N * factor, -DEPTH_M))
+    path = written(tmp_path, table(header, T_S, FORCE_N * factor, -DEPTH_M, *[T_S] * (header.partition("\n")[0].count(",") - 2)))
     force = header.split(",")[1]
     imported = read_files([path], ImportOptions(force, height_column="z_m", time_columns=("t_s",), **options))  # type: ignore[arg-type]
     np.testing.assert_allclose(imported.samples.wrench[:, 2], FORCE_N, rtol=1e-12, atol=1e-12)
@@ -113,7 +121,7 @@ def test_volts_ask_for_their_factor_and_a_wrong_quantity_for_another_column(tmp_
     path = written(tmp_path, table("t_s,F (V),z_mm,h", T_S, FORCE_N, -DEPTH_M, DEPTH_M))
     with pytest.raises(BadInput, match=r"column F \(V\) is in V; give --force-N-per-V"):
         read_files([path], ImportOptions("F (V)", height_column="h", time_columns=("t_s",)))
-    with pytest.raises(BadInput, match="column z_mm is in mm, expected a force in N, mN"):
+    with pytest.raises(BadInput, match="column z_mm is in mm, expected a force in N, cN, mN"):
         read_files([path], ImportOptions("z_mm", height_column="h", time_columns=("t_s",)))
 
 
