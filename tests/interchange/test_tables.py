@@ -417,6 +417,20 @@ def test_labview_files(tmp_path: Path) -> None:
     np.testing.assert_allclose(samples.t_s, T_S, rtol=0, atol=1e-12)
 
 
+def test_waveforms_of_labview_that_began_at_different_times_are_aligned(tmp_path: Path) -> None:
+    """The force of a second task, which began 0.2 s later, stood 0.2 s too early beside the motion."""
+    nptdms = pytest.importorskip("nptdms")
+    later = T_S > T_S[0] + 0.1999
+    for name, values, start_ms in (("Height", -DEPTH_M, 0), ("Force", FORCE_N[later], 200)):
+        start = np.datetime64("2026-03-01T10:00:00", "ms") + np.timedelta64(start_ms, "ms")
+        properties = {"unit_string": "m" if name == "Height" else "N", "wf_increment": 0.002, "wf_start_time": start}
+        with nptdms.TdmsWriter(tmp_path / f"{name}.tdms") as writer:
+            writer.write_segment([nptdms.ChannelObject("Press", name, values, properties)])
+    paths = [tmp_path / "Height.tdms", tmp_path / "Force.tdms"]
+    samples = read_files(paths, ImportOptions("Press/Force", height_column="Press/Height")).samples
+    np.testing.assert_allclose(samples.z_m, -DEPTH_M[later], rtol=0, atol=1e-9)
+
+
 def test_afm_curves(tmp_path: Path) -> None:
     afmformats = pytest.importorskip("afmformats")
     stiffness_N_per_m = 0.02
