@@ -391,6 +391,10 @@ def import_file(files: str | Path | Sequence[str | Path], **options: Any) -> Loa
         if name not in known:
             raise BadInput(f"import_file has no option {name}{nearest(name, known)}; it has {', '.join(known)}")
     paths = [Path(file) for file in ([files] if isinstance(files, str | Path) else files)]
+    if not paths:
+        raise BadInput("no file was given; give one, or one with the motion and one with the force")
+    if isinstance(options.get("time_columns"), str):
+        options["time_columns"] = [options["time_columns"]]
     imported = read_files(paths, ImportOptions(**options))
     return LoadedRecording(imported.samples, " and ".join(path.name for path in paths), imported.notes)
 

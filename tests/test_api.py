@@ -196,12 +196,14 @@ def test_a_foreign_table_becomes_a_recording_a_cell_and_tolerances(motion: dict[
     table = np.column_stack([recording["t_s"], 1e3 * recording["z_m"], recording["fz_N"]])
     path = tmp_path / "rig.csv"
     np.savetxt(path, table, delimiter=",", header="t (s),z (mm),Fz (N)", comments="")
-    columns = {"force_column": "Fz (N)", "height_column": "z (mm)", "time_columns": ["t (s)"], "units_confirmed": True}
+    columns = {"force_column": "Fz (N)", "height_column": "z (mm)", "time_columns": "t (s)", "units_confirmed": True}
     imported = palpd.import_file(path, **columns)
     np.testing.assert_allclose(imported["fz_N"], recording["fz_N"])
     assert any("No speed was recorded" in note for note in imported.notes)
     with pytest.raises(BadInput, match="import_file has no option force_colum \\(did you mean"):
         palpd.import_file(path, force_colum="Fz (N)")
+    with pytest.raises(BadInput, match="no file was given"):
+        palpd.import_file([])
     cell = palpd.cell_from(imported, tip_radius_m=nominal().probe.tip_radius_m)
     assert cell.file.tissue.surface_z_m == pytest.approx(nominal().tissue.surface_z_m, abs=5e-4)
     assert cell.notes[0].startswith("Sensor: 250 Hz")

@@ -399,10 +399,10 @@ def _column_names(path: Path, lines: list[str], mapping: Mapping) -> tuple[str, 
     return mapping.force_column, length, mapping.time_column
 
 
-def _header(path: Path, lines: list[str], names: list[str]) -> tuple[int, str]:
-    """The line that names all these columns, and its delimiter."""
-    for at, line in enumerate(lines):
-        for delimiter in DELIMITERS:
+def _header(path: Path, lines: list[str], names: list[str]) -> tuple[int, str | None]:
+    """The line that names all these columns, and its delimiter; None: white space."""
+    for delimiter in (*DELIMITERS, None):
+        for at, line in enumerate(lines):
             cells = cells_of(line, delimiter)
             if all(name in cells for name in names):
                 twice = [name for name in names if cells.count(name) > 1]
@@ -427,7 +427,7 @@ def _seen(lines: list[str]) -> str:
     return f"the file has {', '.join(best)}"[:300] if best else "the file has no header row"
 
 
-def _numbers(path: Path, lines: list[str], header: int, delimiter: str, columns: dict[str, int]) -> _Table:
+def _numbers(path: Path, lines: list[str], header: int, delimiter: str | None, columns: dict[str, int]) -> _Table:
     """Rows below the header with a number in every wanted column. Others may stand before and after them, not between."""
     table = _Table(skipped=sum(1 for line in lines[:header] if line.strip()))
     gap: tuple[int, str, str] | None = None

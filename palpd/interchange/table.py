@@ -268,7 +268,7 @@ def _header(
     fitting = [(number, cells) for number, cells in candidates if len(cells) == width]
     if not fitting:
         for _, cells in candidates[:1]:
-            refuse_decimal_commas(path.name, cells, cells_of(lines[begin], separator), separator or " ")
+            refuse_decimal_commas(path.name, cells, cells_of(lines[begin], separator), separator)
         return set(), tuple(f"column {number + 1}" for number in range(width)), ("",) * width
     number, cells = fitting[0]
     known = sum(1 for cell in cells if unit_named("", cell) or cell.startswith(("(", "[")))

@@ -38,7 +38,7 @@ def machine(folder: Path, *, sign: float = -1.0, delimiter: str = ",", offset_mm
 MACHINE = Mapping("F(mN)", "mN", height_column="Z(mm)", length_unit="mm", compression_negative=True, time_column="Time(s)")
 
 
-@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "   "])
 def test_units_signs_and_rows_that_are_no_numbers_are_understood(tmp_path: Path, delimiter: str) -> None:
     curve = read_curve(machine(tmp_path, delimiter=delimiter), MACHINE)
     assert len(curve) == 350
