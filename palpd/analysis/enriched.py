@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypedDict
 import numpy as np
 
 from palpd.analysis.intervals import correlated_sigmas, student_t_95
-from palpd.analysis.young import modulus_peak_Pa, refuse_undetermined
+from palpd.analysis.young import modulus_peak_Pa, refuse_undetermined, undithered_N
 from palpd.cell.cell_file import CellFile, Estimated
 from palpd.cell.effects import EFFECTS
 from palpd.cell.effects.tissue import MODULUS
@@ -95,8 +95,8 @@ class EnrichedModulus:
 def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedModulus:
     """Least squares of modulus, surface and a bias per recording over whole presses; the cell file gives everything else.
 
-    The surface may move by its tolerance (Gaussian prior). The interval holds noise, surface and bias, the tolerance of the gain and the
-    scatter of presses by `repeatability`, not that of the effects' parameters.
+    The surface may move by its tolerance (Gaussian prior). The interval holds noise, surface and bias, rounding that no noise dithers,
+    the tolerance of the gain and the scatter of presses by `repeatability`, not that of the effects' parameters.
 
     Args:
         recordings: Recordings of one cell.
@@ -123,7 +123,9 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
     step_s = float(np.median(np.diff(recordings[0].t_s)))
     gain = _settled_gain(contact.cell, FAST_CREEP * float(touching.sum()) * step_s / presses)
     weighted = np.vstack([fit.slopes, _surface_row(fit.slopes, float(np.std(fit.residual_N)) / contact.prior_m)])
-    sigmas, n_effective = correlated_sigmas(weighted, np.append(fit.residual_N, 0.0))
+    rounding_N = undithered_N(np.concatenate([samples.wrench[:, 2] for samples in recordings]), fit.residual_N[~touching])
+    shared = np.append(np.where(touching, rounding_N, 0.0), 0.0)
+    sigmas, n_effective = correlated_sigmas(weighted, np.append(fit.residual_N, 0.0), shared)
     relative = student_t_95(max(n_effective - fit.slopes.shape[1], 1.0)) * float(sigmas[0])
     relative = float(np.hypot(relative, 1.96 * np.hypot(cell.tolerances.gain, cell.repeatability.stiffness / np.sqrt(presses))))
     estimated = _with(contact.cell, fit.modulus_Pa, fit.shift_m)

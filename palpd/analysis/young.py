@@ -264,7 +264,7 @@ def _uncertainty(
     slopes += [1.5 * hertz.stiffness * np.sqrt(depth_m)] if contact_is_free else []
     slopes += beside
     air = depth_m <= 0.0
-    rounding_N = _undithered_N(force_N, residual_N[air])
+    rounding_N = undithered_N(force_N, residual_N[air])
     sigmas, n_effective = correlated_sigmas(np.column_stack(slopes), residual_N, np.where(air, rounding_N, 0.0))
     degrees = max(n_effective * float(np.mean(~air)) - len(slopes), 1.0)
     return (student_t_95(degrees) * float(sigmas[0]), float(sigmas[1]) if contact_is_free else 0.0), n_effective
@@ -290,8 +290,12 @@ def _search(tip_m: Floats, force_N: Floats, contact_m: float | None, baseline_N:
     return float(stiffness[best]), float(contact[best]), float(rest_N - stiffness[best] * level[best])
 
 
-def _undithered_N(force_N: Floats, at_rest_N: Floats) -> float:
-    """One standard deviation of what rounding leaves in the mean of the samples at rest.
+def undithered_N(force_N: Floats, at_rest_N: Floats) -> float:
+    """One standard deviation of what rounding leaves in the mean of samples at rest.
+
+    Args:
+        force_N: Forces (n,), whose smallest step is the count.
+        at_rest_N: Residuals (k,) at rest, which show the noise.
 
     A count q that noise of sigma s dithers leaves Σ (q/πk)² exp(-(2πks/q)²)/2 of variance, q²/12 without noise (Widrow 1956).
     """

@@ -55,7 +55,15 @@ def unit_of(column: str, quantity: Literal["force", "length"], given: str | None
 
 
 def refuse_row_of_units(curve: "Curve", force_unit: str, length_unit: str) -> None:
-    """Refuse a curve below whose header stands another unit than the one in which it was read. Raises BadInput."""
+    """Refuse a curve below whose header stands another unit than the one in which it was read.
+
+    Args:
+        force_unit: The unit in which its force was read.
+        length_unit: The unit in which its height or depth was read.
+
+    Raises:
+        BadInput: There is such a row.
+    """
     from palpd.interchange.units import unit_named
 
     for column, below, unit, option in zip(curve.columns, curve.below, (force_unit, length_unit), ("force", "length"), strict=True):

@@ -108,7 +108,7 @@ def refuse_decimal_commas(name: str, header: Sequence[str], row: Sequence[str], 
 
     Args:
         name: What errors call the table.
-        delimiter: What separates them.
+        delimiter: What separates its cells; None: white space.
 
     Raises:
         RecordingError: The row has more cells than the header.
