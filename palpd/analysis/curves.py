@@ -269,7 +269,7 @@ def _of_several(curve: Curve, first: int, last: int) -> list[str]:
     presses = int(np.sum(np.diff(marks[marks != 0], prepend=-1) > 0))
     if presses < 2:
         return []
-    return [f"the curve holds {presses} presses, and E is that of the way down in its samples {first + 1} to {last + 1} alone"]
+    return [f"the curve holds {presses} presses, and E is that of the way down in samples {first + 1} to {last + 1} alone"]
 
 
 def _of_poisson(poisson_ratio: float) -> list[str]:
@@ -277,8 +277,8 @@ def _of_poisson(poisson_ratio: float) -> list[str]:
     if abs(poisson_ratio - 0.5) < 1e-6:
         return []
     return [
-        f"Poisson's ratio is {poisson_ratio:g}, and equation 1 is Hertz at 0.5 only: Hertz gives {2.0 * (1.0 - poisson_ratio):.3g} times as "
-        "much (--fit loading)"
+        f"Poisson's ratio is {poisson_ratio:g}, and equation 1 is Hertz at 0.5 only: Hertz gives {2.0 * (1.0 - poisson_ratio):.3g} times "
+        "as much (--fit loading)"
     ]
 
 

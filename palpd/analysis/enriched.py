@@ -238,8 +238,8 @@ def _converged(contact: _Contact) -> _Fit:
             return _Fit(modulus_Pa, shift_m, slopes, residual_N)
     if abs(change - 1.0) > ACCEPTED or not (here_N > noise_N).any():
         raise RecordingError(
-            f"the modulus still changes by {abs(change - 1.0):.1%} after {number + 1} passes; check the units of force and height: the cell "
-            "file does not describe this recording"
+            f"the modulus still changes by {abs(change - 1.0):.1%} after {number + 1} passes; check the units of force and height: the "
+            "cell file does not describe this recording"
         )
     return _Fit(modulus_Pa, shift_m, slopes, residual_N)
 

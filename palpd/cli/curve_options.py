@@ -58,8 +58,7 @@ def refuse_row_of_units(curve: "Curve", force_unit: str, length_unit: str) -> No
     """Refuse a curve below whose header stands another unit than the one in which it was read.
 
     Args:
-        force_unit: The unit in which its force was read.
-        length_unit: The unit in which its height or depth was read.
+        length_unit: Of its height or depth.
 
     Raises:
         BadInput: There is such a row.
@@ -68,4 +67,6 @@ def refuse_row_of_units(curve: "Curve", force_unit: str, length_unit: str) -> No
 
     for column, below, unit, option in zip(curve.columns, curve.below, (force_unit, length_unit), ("force", "length"), strict=True):
         if unit_named("", below) not in (None, unit):
-            raise BadInput(f"{curve.name}: {below} stands below {column}, and it was read in {unit}; give --{option}-unit, or correct that row")
+            raise BadInput(
+                f"{curve.name}: {below} stands below {column}, and it was read in {unit}; give --{option}-unit, or correct that row"
+            )

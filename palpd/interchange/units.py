@@ -32,7 +32,8 @@ FACTORS: dict[Quantity, dict[str, float]] = {
 """Factor of every unit to the SI unit of its quantity, which stands first."""
 VOLTS = {"V": 1.0, "mV": 1e-3}
 SPELLINGS = {
-    "newton": "N", "newtons": "N", "kn": "kN", "kips": "kip", "lb": "lbf", "lbs": "lbf", "g": "gf", "gram": "gf", "grams": "gf", "kg": "kgf", "inch": "in", "inches": "in", "micron": "um",
+    "newton": "N", "newtons": "N", "kn": "kN", "kips": "kip", "lb": "lbf", "lbs": "lbf", "g": "gf", "gram": "gf",
+    "grams": "gf", "kg": "kgf", "inch": "in", "inches": "in", "micron": "um",
     "microns": "um", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "volt": "V", "volts": "V", "m_per_s": "m/s", "m s^-1": "m/s",
     "m*s^-1": "m/s", "degrees": "deg", "degree": "deg", "°": "deg", "radian": "rad", "radians": "rad", "°/s": "deg/s",
     "rad_per_s": "rad/s", "N m": "Nm", "N*m": "Nm", "N·m": "Nm",

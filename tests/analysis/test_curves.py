@@ -104,7 +104,7 @@ def test_of_several_presses_the_one_with_the_peak_counts() -> None:
     result = analyse_curve(Curve("made", -depth_m, pressed_N, None, 1.0, ("f", "z")), tip_radius_m=RADIUS_M)
     assert result["youngs_modulus_Pa"] == pytest.approx(E_PA, rel=1e-4)
     assert result["samples"] == pytest.approx(200, abs=2)
-    assert "the curve holds 2 presses, and E is that of the way down in its samples 361 to 560 alone" in result["warnings"]
+    assert "the curve holds 2 presses, and E is that of the way down in samples 361 to 560 alone" in result["warnings"]
 
 
 def test_of_presses_to_one_depth_the_strongest_counts_and_one_that_the_recording_begins_in_does_not() -> None:

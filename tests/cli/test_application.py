@@ -702,7 +702,14 @@ def test_a_curve_is_read_in_the_unit_that_the_name_of_its_column_says(tmp_path: 
     assert "column load (mN) was read in N, as given, and its name says mN" in " ".join(
         modulus("load (mN)", "--force-unit", "N").output.split()
     )
-    for name, unit in (("load (lbf)", "lbf"), ("load (g)", "gf"), ("load (KN)", "kN"), ("load (V)", "V"), ("load (cps)", "cps"), ("a (mm)", "mm")):
+    for name, unit in (
+        ("load (lbf)", "lbf"),
+        ("load (g)", "gf"),
+        ("load (KN)", "kN"),
+        ("load (V)", "V"),
+        ("load (cps)", "cps"),
+        ("a (mm)", "mm"),
+    ):
         assert f"column {name} is in {unit}, expected a force in N, mN, uN, nN" in str(modulus(name).exception)
     assert "E = 50 kPa" in modulus("load (cps)", "--force-unit", "mN").output
     rows.insert(0, "mm,mN")

@@ -420,7 +420,7 @@ def test_labview_files(tmp_path: Path) -> None:
 def test_waveforms_of_labview_that_began_at_different_times_are_aligned(tmp_path: Path) -> None:
     """The force of a second task, which began 0.2 s later, stood 0.2 s too early beside the motion."""
     nptdms = pytest.importorskip("nptdms")
-    later = T_S > T_S[0] + 0.1999
+    later = T_S - T_S[0] >= 0.1999
     for name, values, start_ms in (("Height", -DEPTH_M, 0), ("Force", FORCE_N[later], 200)):
         start = np.datetime64("2026-03-01T10:00:00", "ms") + np.timedelta64(start_ms, "ms")
         properties = {"unit_string": "m" if name == "Height" else "N", "wf_increment": 0.002, "wf_start_time": start}
