@@ -245,6 +245,12 @@ class _Reading:
         if self._pose is None and (given.twist or given.command):
             option = "vz_m_per_s" if given.twist else "z_cmd_m"
             raise BadInput(f"--{'twist' if given.twist else 'command'} belongs to --pose; with columns give --column {option}=NAME")
+        if self._pose is not None and (given.length_unit or given.length_m_per_V or given.height_down_positive):
+            raise BadInput(
+                "--length-unit, --length-m-per-V and --height-down-positive belong to columns; a pose is in m, and --axis -z turns it"
+            )
+        if self._wrench is not None and (given.force_unit or given.force_N_per_V):
+            raise BadInput("--force-unit and --force-N-per-V belong to --force-column; a wrench is in N and Nm")
         if self._wrench is None and given.wrench_in:
             raise BadInput("--wrench-in belongs to --wrench; a column of force is along the height")
 

@@ -123,7 +123,7 @@ def scale_of(
         The scale; its source says whether it must be confirmed.
 
     Raises:
-        BadInput: The unit belongs to another quantity, or volts come without their factor.
+        BadInput: The unit is unknown or belongs to another quantity, or volts come without their factor.
     """
     named = unit_named(column, stated)
     unit = given or named
@@ -134,6 +134,12 @@ def scale_of(
         return UnitScale(column, quantity, unit, VOLTS[unit] * per_volt, "given")
     units = FACTORS[quantity]
     if given is not None:
+        if given not in units:
+            joint = any(given in FACTORS[of_joint] for of_joint in ("angle", "torque"))
+            raise BadInput(
+                f"{given} is given for column {column}, expected a {quantity} in {', '.join(units)}; correct the unit"
+                f"{', or give --joint, if these are angle and torque of a joint' if joint else ''}"
+            )
         return UnitScale(column, quantity, given, units[given], "given")
     if named is not None and named not in units:
         joint = quantity in ("length", "force") and any(named in FACTORS[of_joint] for of_joint in ("angle", "torque"))

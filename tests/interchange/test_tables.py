@@ -121,6 +121,9 @@ def test_volts_ask_for_their_factor_and_a_wrong_quantity_for_another_column(tmp_
     path = written(tmp_path, table("t_s,F (V),z_mm,h", T_S, FORCE_N, -DEPTH_M, DEPTH_M))
     with pytest.raises(BadInput, match=r"column F \(V\) is in V; give --force-N-per-V"):
         read_files([path], ImportOptions("F (V)", height_column="h", time_columns=("t_s",)))
+    for unit, hint in (("Nm", "or give --joint"), ("ounces", "correct the unit")):
+        with pytest.raises(BadInput, match=f"{unit} is given for column h, expected a force in N, cN, .*{hint}"):
+            read_files([path], ImportOptions("h", height_column="z_mm", time_columns=("t_s",), force_unit=unit))
     with pytest.raises(BadInput, match="column z_mm is in mm, expected a force in N, cN, mN"):
         read_files([path], ImportOptions("z_mm", height_column="h", time_columns=("t_s",)))
 
