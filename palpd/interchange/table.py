@@ -264,7 +264,8 @@ def _header(
 ) -> tuple[set[int], tuple[str, ...], tuple[str, ...]]:
     """Numbers of the lines of the header, its names and its units; a table that begins with numbers names its columns by their number."""
     above = [number for number in range(begin) if lines[number].strip()]
-    candidates = [(number, cells_of(lines[number].lstrip("# \t%"), separator)) for number in reversed(above[-4:])]
+    # a tab alone is no comment: it begins the header of an index without a name, as pandas writes it
+    candidates = [(number, cells_of(re.sub(r"^\s*[#%][#%\s]*", "", lines[number]), separator)) for number in reversed(above[-4:])]
     fitting = [(number, cells) for number, cells in candidates if len(cells) == width]
     if not fitting:
         for _, cells in candidates[:1]:

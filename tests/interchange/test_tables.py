@@ -140,6 +140,12 @@ def test_units_in_names(name: str, unit: str | None) -> None:
     assert unit_named(name) == unit
 
 
+@pytest.mark.parametrize("header", ["\tt_s\tz_m\tfz_N", "# n\tt_s\tz_m\tfz_N"])
+def test_an_index_without_a_name_is_a_column(tmp_path: Path, header: str) -> None:
+    path = written(tmp_path, table(header, np.arange(N), T_S, -DEPTH_M, FORCE_N, separator="\t"), "frame.tsv")
+    np.testing.assert_allclose(read_files([path], ImportOptions()).samples.wrench[:, 2], FORCE_N, rtol=0, atol=1e-12)
+
+
 def test_a_row_of_units_below_the_header_and_two_vectors_more(tmp_path: Path) -> None:
     text = table("t;F;z;v;fx\n(s);(mN);(mm);(mm/s);(mN)", T_S, FORCE_N * 1e3, -DEPTH_M * 1e3, -np.gradient(DEPTH_M, T_S) * 1e3, T_S,
                  separator=";")  # fmt: skip
