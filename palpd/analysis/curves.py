@@ -339,7 +339,7 @@ def _loading(curve: Curve) -> tuple[int, int]:
     if last - first + 1 < FEWEST_SAMPLES:
         raise RecordingError(
             f"{curve.name}: only {last - first + 1} samples lead to the peak of force or depth, {FEWEST_SAMPLES} or more are needed; "
-            "check the force's sign, the columns and the direction of the height"
+            "record the way down, or check the force's sign, the columns and the direction of the height"
         )
     return first, last
 
