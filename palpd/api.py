@@ -237,7 +237,7 @@ class Analysis(_Shown):
 
     @property
     def sentence(self) -> str:
-        """The moduli in words."""
+        """The moduli in words, with the notes on each."""
         return " ".join(self._of(site) for site in self.sites)
 
     def table(self) -> list[TableRow]:
@@ -270,7 +270,8 @@ class Analysis(_Shown):
             return f"{label}no modulus ({'; '.join(site.get('warnings', ()))})."
         low, high = site.get("ci95_Pa") or (None, None)
         interval = "" if low is None or high is None else f" (95 %: {low / 1e3:.3g} to {high / 1e3:.3g})"
-        return f"{label}E = {site['youngs_modulus_Pa'] / 1e3:.3g} kPa{interval}."
+        notes = "".join(f" Note: {note}." for note in site.get("warnings", ()))
+        return f"{label}E = {site['youngs_modulus_Pa'] / 1e3:.3g} kPa{interval}.{notes}"
 
 
 @dataclass(frozen=True)
@@ -390,6 +391,10 @@ def import_file(files: str | Path | Sequence[str | Path], **options: Any) -> Loa
         if name not in known:
             raise BadInput(f"import_file has no option {name}{nearest(name, known)}; it has {', '.join(known)}")
     paths = [Path(file) for file in ([files] if isinstance(files, str | Path) else files)]
+    if not paths:
+        raise BadInput("no file was given; give one, or one with the motion and one with the force")
+    if isinstance(options.get("time_columns"), str):
+        options["time_columns"] = [options["time_columns"]]
     imported = read_files(paths, ImportOptions(**options))
     return LoadedRecording(imported.samples, " and ".join(path.name for path in paths), imported.notes)
 
@@ -578,12 +583,10 @@ def analyse(source: Source, cell: CellSource | None = None, *, site: str | None 
     """
     if cell is None:
         return Analysis(tuple(_daemon_sites(source, site)))
-    from palpd.analysis.enriched import enriched_modulus
+    from palpd.analysis.enriched import enriched_modulus, figures_of
 
     samples = _samples(source, site)
-    estimate = enriched_modulus([samples], _cell(cell).at_site(common_site([samples])))
-    figures = {"youngs_modulus_Pa": estimate.youngs_modulus_Pa, "ci95_Pa": list(estimate.ci95_Pa), "contact_point_m": estimate.surface_z_m}
-    return Analysis(({"name": site or "", **figures, "rms_N": estimate.rms_N, "warnings": list(estimate.notes)},))
+    return Analysis((figures_of(enriched_modulus([samples], _cell(cell).at_site(common_site([samples]))), site or ""),))
 
 
 def _daemon_sites(source: Source, site: str | None) -> Sequence[Mapping[str, Any]]:

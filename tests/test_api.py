@@ -55,6 +55,21 @@ def test_the_found_cell_predicts_the_recording_and_gives_its_modulus(softer: pal
     assert float(np.std(palpd.simulate(softer, palpd.Cell.nominal())["fz_N"] - softer["fz_N"])) > 0.3
     modulus = palpd.analyse(softer, answer.cell)
     assert modulus.table()[0]["low_Pa"] < 0.7 * 72000.0 < modulus.table()[0]["high_Pa"]
+    assert "Note" not in modulus.sentence
+
+
+def test_what_the_cell_does_not_explain_stands_beside_the_modulus(softer: palpd.LoadedRecording) -> None:
+    odd = {**softer.columns, "fz_N": softer["fz_N"] + 0.5 * np.sin(20.0 * softer["t_s"])}
+    modulus = palpd.analyse(odd, palpd.Cell.nominal())
+    assert "something is not in the cell file" in modulus.sentence
+    assert "something is not in the cell file" in modulus.table()[0]["notes"]
+
+
+def test_a_modulus_refuses_a_wrong_sign_and_a_wrong_unit_by_their_names(softer: palpd.LoadedRecording) -> None:
+    with pytest.raises(RecordingError, match="multiply the forces by -1"):
+        palpd.analyse({**softer.columns, "fz_N": -softer["fz_N"]}, palpd.Cell.nominal())
+    with pytest.raises(RecordingError, match="check the units"):
+        palpd.analyse({**softer.columns, "fz_N": 1e3 * softer["fz_N"]}, palpd.Cell.nominal())
 
 
 def test_ones_own_simulator_is_the_nominal_as_a_function_and_as_a_data_frame(softer: palpd.LoadedRecording) -> None:
@@ -181,12 +196,14 @@ def test_a_foreign_table_becomes_a_recording_a_cell_and_tolerances(motion: dict[
     table = np.column_stack([recording["t_s"], 1e3 * recording["z_m"], recording["fz_N"]])
     path = tmp_path / "rig.csv"
     np.savetxt(path, table, delimiter=",", header="t (s),z (mm),Fz (N)", comments="")
-    columns = {"force_column": "Fz (N)", "height_column": "z (mm)", "time_columns": ["t (s)"], "units_confirmed": True}
+    columns = {"force_column": "Fz (N)", "height_column": "z (mm)", "time_columns": "t (s)", "units_confirmed": True}
     imported = palpd.import_file(path, **columns)
     np.testing.assert_allclose(imported["fz_N"], recording["fz_N"])
     assert any("No speed was recorded" in note for note in imported.notes)
     with pytest.raises(BadInput, match="import_file has no option force_colum \\(did you mean"):
         palpd.import_file(path, force_colum="Fz (N)")
+    with pytest.raises(BadInput, match="no file was given"):
+        palpd.import_file([])
     cell = palpd.cell_from(imported, tip_radius_m=nominal().probe.tip_radius_m)
     assert cell.file.tissue.surface_z_m == pytest.approx(nominal().tissue.surface_z_m, abs=5e-4)
     assert cell.notes[0].startswith("Sensor: 250 Hz")

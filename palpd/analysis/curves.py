@@ -27,6 +27,8 @@ PLACE = ("x_m", "y_m")
 """Where the tip is, as `palpd export` names it: read where a file has both, to tell whether one place was pressed."""
 TARED_NAMES = ("corrected", "tared", "zeroed", "baselined")
 """Words in a column's name that say its baseline has already been taken out."""
+NEAR_PEAK = 0.98
+"""Share of the full depth from which samples show the force at the peak: a force in d² there is 0.5 % from one in d^1.5."""
 TURNED = 0.2
 """Share of the travel that the tip must have come back for a new press to begin; less is noise or a pause."""
 
@@ -55,8 +57,9 @@ class Mapping:
 class Curve:
     """One force curve in SI: `height_m` (n,) up positive, `force_N` (n,) compression positive, `t_s` (n,) or None.
 
-    `sign` turns a height back onto the axis of the column it came from, `columns` names force and length columns, `skipped` counts
-    the rows before and after the numbers (the header row is not one of them). `place_m` (n, 2) is where the tip was, or None.
+    `sign` turns a height back onto the axis of the column it came from, `columns` names force and length columns, `below` is what stands
+    below these names. `skipped` counts the rows before and after the numbers (the header row is not one of them). `place_m` (n, 2) is
+    where the tip was, or None.
     """
 
     name: str
@@ -65,6 +68,7 @@ class Curve:
     t_s: Floats | None
     sign: float
     columns: tuple[str, str]
+    below: tuple[str, str] = ("", "")
     skipped: int = 0
     place_m: Floats | None = None
 
@@ -114,6 +118,7 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
     if names == list(OWN):  # other machines may round their time, and nothing but an import needs it
         refuse_values({"t_s": values[:, 2]}, path.name)
     sign = -1.0 if mapping.depth_column is not None or mapping.height_down_positive else 1.0
+    below = dict(zip(header, cells_of(lines[at + 1], delimiter), strict=False))
     return Curve(
         name=path.name,
         height_m=sign * values[:, 1] * LENGTH_UNITS[mapping.length_unit],
@@ -121,6 +126,7 @@ def read_curve(path: Path, mapping: Mapping) -> Curve:
         t_s=values[:, 2] if time is not None else None,
         sign=sign,
         columns=(force, length),
+        below=(below.get(force, ""), below.get(length, "")),
         skipped=table.skipped,
         place_m=values[:, -2:] if places else None,
     )
@@ -169,8 +175,8 @@ def analyse_curve(
         tip_radius_m: Radius of the spherical tip.
         poisson_ratio: Poisson's ratio of the tissue.
         machine_stiffness_N_per_m: Stiffness of the machine in series with the tissue, or None for rigid.
-        fit: `loading` fits Hertz to the last press up to its peak; `peak` takes the paper's equation 1 at the force peak, with contact
-            point and baseline of that fit.
+        fit: `loading` fits Hertz to the press with the largest force, up to its peak; `peak` takes the paper's equation 1 at that peak,
+            with contact point and baseline of that fit.
         contact: `zero` holds the contact where the length column is zero.
         baseline: Force before contact: fitted, zero, or (`auto`) zero where the force column's name says that it was taken out.
         thickness_m: Thickness of the tissue, or None; it only decides on a warning.
@@ -209,9 +215,10 @@ def analyse_curve(
 
     try:
         hertz, other = fitted(held), fitted(not held)
-        peak_N = float(curve.force_N[last]) - hertz.baseline_N - hertz.tilt_N_per_m * hertz.depth_m
-        by_peak = fit == "peak"
-        modulus, ci95 = _at_peak(hertz, peak_N, tip_radius_m, poisson_ratio) if by_peak else (hertz.youngs_modulus_Pa, hertz.ci95_Pa)
+        peak_N, peak_sigma_N = _peak_N(curve.height_m[first : last + 1], curve.force_N[first : last + 1], hertz, machine)
+        modulus, ci95 = hertz.youngs_modulus_Pa, hertz.ci95_Pa
+        if by_peak := fit == "peak":
+            modulus, ci95 = _at_peak(hertz, peak_N, peak_sigma_N, tip_radius_m, poisson_ratio)
         tested = (modulus, ci95) if hertz.misfit else (hertz.youngs_modulus_Pa, hertz.ci95_Pa)  # a peak of noise has a small interval
         refuse_undetermined(*tested, hertz.misfit)
     except RecordingError as error:
@@ -237,7 +244,11 @@ def analyse_curve(
         "samples": hertz.n,
         "effective_samples": hertz.n_effective,
         "rows_skipped": curve.skipped,
-        "warnings": _warnings(curve, hertz, tip_radius_m, other if held and baseline == "auto" else None),
+        "warnings": [
+            *_of_several(curve, first, last),
+            *(_of_poisson(poisson_ratio) if by_peak else []),
+            *_warnings(curve, hertz, tip_radius_m, other if held and baseline == "auto" else None),
+        ],
     }
 
 
@@ -248,6 +259,26 @@ def _warnings(curve: Curve, hertz: ContactFit, tip_radius_m: float, fitted_basel
         *([] if hertz.misfit is None else [hertz.misfit["sentence"]]),
         *hertz.warnings,
         *([] if fitted_baseline is None else [_baseline_warning(curve, fitted_baseline)]),
+    ]
+
+
+def _of_several(curve: Curve, first: int, last: int) -> list[str]:
+    """A sentence where the tip goes down more than once: to half of its way, after it was in the upper third again."""
+    travelled = (curve.height_m.max() - curve.height_m) / np.ptp(curve.height_m)
+    marks = np.where(travelled > 0.5, 1, np.where(travelled < 1.0 / 3.0, -1, 0))
+    presses = int(np.sum(np.diff(marks[marks != 0], prepend=-1) > 0))
+    if presses < 2:
+        return []
+    return [f"the curve holds {presses} presses, and E is that of the way down in samples {first + 1} to {last + 1} alone"]
+
+
+def _of_poisson(poisson_ratio: float) -> list[str]:
+    """Equation 1 of Guo, Xiao, Ren 2019 is Hertz times 1/(2(1 - ν))."""
+    if abs(poisson_ratio - 0.5) < 1e-6:
+        return []
+    return [
+        f"Poisson's ratio is {poisson_ratio:g}, and equation 1 is Hertz at 0.5 only: Hertz gives {2.0 * (1.0 - poisson_ratio):.3g} times "
+        "as much (--fit loading)"
     ]
 
 
@@ -271,10 +302,20 @@ def _baseline_warning(curve: Curve, other: ContactFit) -> str:
     )
 
 
-def _at_peak(hertz: ContactFit, peak_N: float, tip_radius_m: float, poisson_ratio: float) -> tuple[float, tuple[float, float]]:
-    """Modulus of equation 1 and its interval: of the contact point, of the baseline and of the one sample that is the peak."""
+def _peak_N(height_m: Floats, force_N: Floats, hertz: ContactFit, machine_stiffness_N_per_m: float) -> tuple[float, float]:
+    """Force at full depth and its standard deviation, from all samples near it: the largest sample alone is the peak of the noise too."""
+    depth_m = hertz.contact_point_m - height_m - (force_N - hertz.baseline_N) / machine_stiffness_N_per_m
+    near = depth_m >= NEAR_PEAK * depth_m.max()
+    above_N = (force_N - hertz.baseline_N - hertz.tilt_N_per_m * depth_m)[near] * (hertz.depth_m / depth_m[near]) ** 1.5
+    return float(above_N.mean()), hertz.rms_N / math.sqrt(max(len(above_N) * hertz.n_effective / hertz.n, 1.0))
+
+
+def _at_peak(
+    hertz: ContactFit, peak_N: float, sigma_N: float, tip_radius_m: float, poisson_ratio: float
+) -> tuple[float, tuple[float, float]]:
+    """Modulus of equation 1 and its interval: of the contact point, of the baseline and of the force at the peak."""
     modulus = modulus_peak_Pa(peak_N, hertz.depth_m, tip_radius_m, poisson_ratio)
-    share = 1.96 * math.hypot(1.5 * hertz.contact_sigma_m / hertz.depth_m, hertz.rms_N / peak_N)
+    share = 1.96 * math.hypot(1.5 * hertz.contact_sigma_m / hertz.depth_m, sigma_N / peak_N)
     factor = modulus_peak_Pa(1.0, 1.0, 1.0, poisson_ratio) / modulus_hertz_Pa(
         1.0, 1.0, 1.0, poisson_ratio
     )  # the two differ where ν is not 0.5
@@ -291,18 +332,30 @@ def refuse_unknown_tip(tip_radius_m: float | None) -> float:
 
 
 def _loading(curve: Curve) -> tuple[int, int]:
-    """First and last sample of the way to the peak: the earlier of most force and most depth, back to where that press began."""
-    last = min(int(np.argmax(curve.force_N)), int(np.argmin(curve.height_m)))
-    backwards = curve.height_m[last::-1]
-    fallen = np.maximum.accumulate(backwards) - backwards
-    before = np.flatnonzero(fallen > TURNED * np.ptp(curve.height_m))
-    first = last - int(np.argmax(backwards[: before[0]])) if len(before) else 0
+    """First and last sample of the way to the largest force. A press in which the recording begins has no such way; a later one may."""
+    first, last = _way_down(curve, 0)
+    if last - first + 1 < FEWEST_SAMPLES:
+        first, last = _way_down(curve, last + int(np.argmax(curve.height_m[last:])))
     if last - first + 1 < FEWEST_SAMPLES:
         raise RecordingError(
             f"{curve.name}: only {last - first + 1} samples lead to the peak of force or depth, {FEWEST_SAMPLES} or more are needed; "
-            "check the force's sign, the columns and the direction of the height"
+            "record the way down, or check the force's sign, the columns and the direction of the height"
         )
     return first, last
+
+
+def _way_down(curve: Curve, begin: int) -> tuple[int, int]:
+    """First and last sample of the way to the largest force from a sample on, or to the deepest point before it in the same press."""
+    height_m, force_N = curve.height_m[begin:], curve.force_N[begin:]
+    turned_m = TURNED * np.ptp(curve.height_m)
+    last, deepest = int(np.argmax(force_N)), int(np.argmin(height_m))
+    if deepest < last and height_m[deepest : last + 1].max() - height_m[last] <= turned_m:
+        last = deepest
+    backwards = height_m[last::-1]
+    fallen = np.maximum.accumulate(backwards) - backwards
+    before = np.flatnonzero(fallen > turned_m)
+    first = last - int(np.argmax(backwards[: before[0]])) if len(before) else 0
+    return begin + first, begin + last
 
 
 def _refuse_several_places(curve: Curve, tip_radius_m: float) -> None:
@@ -346,10 +399,10 @@ def _column_names(path: Path, lines: list[str], mapping: Mapping) -> tuple[str, 
     return mapping.force_column, length, mapping.time_column
 
 
-def _header(path: Path, lines: list[str], names: list[str]) -> tuple[int, str]:
-    """The line that names all these columns, and its delimiter."""
-    for at, line in enumerate(lines):
-        for delimiter in DELIMITERS:
+def _header(path: Path, lines: list[str], names: list[str]) -> tuple[int, str | None]:
+    """The line that names all these columns, and its delimiter; None: white space."""
+    for delimiter in (*DELIMITERS, None):
+        for at, line in enumerate(lines):
             cells = cells_of(line, delimiter)
             if all(name in cells for name in names):
                 twice = [name for name in names if cells.count(name) > 1]
@@ -374,7 +427,7 @@ def _seen(lines: list[str]) -> str:
     return f"the file has {', '.join(best)}"[:300] if best else "the file has no header row"
 
 
-def _numbers(path: Path, lines: list[str], header: int, delimiter: str, columns: dict[str, int]) -> _Table:
+def _numbers(path: Path, lines: list[str], header: int, delimiter: str | None, columns: dict[str, int]) -> _Table:
     """Rows below the header with a number in every wanted column. Others may stand before and after them, not between."""
     table = _Table(skipped=sum(1 for line in lines[:header] if line.strip()))
     gap: tuple[int, str, str] | None = None

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, TypedDict
 import numpy as np
 
 from palpd.analysis.intervals import correlated_sigmas, student_t_95
-from palpd.analysis.young import modulus_peak_Pa, refuse_undetermined
+from palpd.analysis.young import modulus_peak_Pa, refuse_undetermined, undithered_N
 from palpd.cell.cell_file import CellFile, Estimated
 from palpd.cell.effects import EFFECTS
 from palpd.cell.effects.tissue import MODULUS
@@ -25,6 +25,7 @@ from palpd.cell.simulation import equilibrium_force_N, wrench_of
 from palpd.cell.span import TipMotion
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
+from palpd.recording.oddities import refuse_dead, refuse_turned
 from palpd.recording.reader import Recording, holds_ticks, refuse_site, samples_of
 from palpd.recording.samples import Samples, common_site, read, refuse_mixed_sites, runs_of_true
 from palpd.recording.stated_geometry import with_stated_machine
@@ -94,8 +95,8 @@ class EnrichedModulus:
 def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedModulus:
     """Least squares of modulus, surface and a bias per recording over whole presses; the cell file gives everything else.
 
-    The surface may move by its tolerance (Gaussian prior). The interval holds noise, surface and bias, the tolerance of the gain and the
-    scatter of presses by `repeatability`, not that of the effects' parameters.
+    The surface may move by its tolerance (Gaussian prior). The interval holds noise, surface and bias, rounding that no noise dithers,
+    the tolerance of the gain and the scatter of presses by `repeatability`, not that of the effects' parameters.
 
     Args:
         recordings: Recordings of one cell.
@@ -105,10 +106,14 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
         The modulus and the cell that belongs to it.
 
     Raises:
-        RecordingError: The cell has no tissue, no recording holds contact, or the modulus does not settle or may be zero.
+        RecordingError: The cell has no tissue, no recording holds contact, a force is dead or has the wrong sign, or the modulus does not
+            settle or may be zero.
     """
     if cell.tissue is None:
         raise RecordingError("the cell file has no tissue, so there is no modulus to estimate; give one with a tissue block")
+    for samples in recordings:
+        refuse_dead(samples)
+        refuse_turned(samples)
     cell, notes = with_stated_machine(cell, recordings)
     contact = _Contact.of(recordings, cell)
     fit = _converged(contact)
@@ -118,7 +123,9 @@ def enriched_modulus(recordings: Sequence[Samples], cell: CellFile) -> EnrichedM
     step_s = float(np.median(np.diff(recordings[0].t_s)))
     gain = _settled_gain(contact.cell, FAST_CREEP * float(touching.sum()) * step_s / presses)
     weighted = np.vstack([fit.slopes, _surface_row(fit.slopes, float(np.std(fit.residual_N)) / contact.prior_m)])
-    sigmas, n_effective = correlated_sigmas(weighted, np.append(fit.residual_N, 0.0))
+    rounding_N = undithered_N(np.concatenate([samples.wrench[:, 2] for samples in recordings]), fit.residual_N[~touching])
+    shared = np.append(np.where(touching, rounding_N, 0.0), 0.0)
+    sigmas, n_effective = correlated_sigmas(weighted, np.append(fit.residual_N, 0.0), shared)
     relative = student_t_95(max(n_effective - fit.slopes.shape[1], 1.0)) * float(sigmas[0])
     relative = float(np.hypot(relative, 1.96 * np.hypot(cell.tolerances.gain, cell.repeatability.stiffness / np.sqrt(presses))))
     estimated = _with(contact.cell, fit.modulus_Pa, fit.shift_m)
@@ -213,9 +220,11 @@ def _converged(contact: _Contact) -> _Fit:
     tissue, noise_N, prior_m = contact.cell.tissue, contact.cell.sensor.noise_rms_N, contact.prior_m
     assert tissue is not None
     modulus_Pa, shift_m, rms_N = tissue.youngs_modulus_Pa, 0.0, noise_N
-    for _ in range(PASSES):
+    for number in range(PASSES):
         here_N = contact.force_N(modulus_Pa, shift_m)
         if not (here_N > noise_N).any():
+            if number:
+                break  # a step led away from the tissue
             raise RecordingError("the tip never goes below the surface of the cell file; check tissue.surface_z_m and the recording")
         slope = (contact.force_N(modulus_Pa, shift_m + SHIFT_M) - here_N) / SHIFT_M
         slopes = np.column_stack([here_N, slope, contact.biases])
@@ -227,9 +236,10 @@ def _converged(contact: _Contact) -> _Fit:
         modulus_Pa, shift_m = modulus_Pa * change, shift_m + float(step[1])
         if abs(change - 1.0) < SETTLED and abs(step[1]) < SETTLED_M:
             return _Fit(modulus_Pa, shift_m, slopes, residual_N)
-    if abs(change - 1.0) > ACCEPTED:
+    if abs(change - 1.0) > ACCEPTED or not (here_N > noise_N).any():
         raise RecordingError(
-            f"the modulus still changes by {abs(change - 1.0):.1%} after {PASSES} passes; the cell file does not describe this recording"
+            f"the modulus still changes by {abs(change - 1.0):.1%} after {number + 1} passes; check the units of force and height: the "
+            "cell file does not describe this recording"
         )
     return _Fit(modulus_Pa, shift_m, slopes, residual_N)
 
@@ -263,14 +273,15 @@ def analysed(file: Path, cell: CellFile, site: str | None = None) -> dict[str, A
         refuse_site(file, site)
         samples = read(file)
         refuse_mixed_sites(samples.sites, f"{file.name} holds")
-        return {**_result(enriched_modulus([samples], cell.at_site(common_site([samples]))), file.stem)}
+        return {**figures_of(enriched_modulus([samples], cell.at_site(common_site([samples]))), file.stem)}
     recording = Recording.load(file)
     names = [site] if site is not None else [each["name"] for each in recording.header["sites"]]
-    sites = [_result(enriched_modulus([samples_of(recording, name)], cell.at_site(name)), name) for name in names]
+    sites = [figures_of(enriched_modulus([samples_of(recording, name)], cell.at_site(name)), name) for name in names]
     return {"sites": sites, **(sites[0] if len(sites) == 1 else {})}
 
 
-def _result(estimate: EnrichedModulus, name: str) -> EnrichedResult:
+def figures_of(estimate: EnrichedModulus, name: str) -> EnrichedResult:
+    """The figures of a site, with a sentence for everything that makes them doubtful."""
     return {
         "name": name,
         "youngs_modulus_Pa": estimate.youngs_modulus_Pa,

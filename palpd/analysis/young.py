@@ -264,7 +264,7 @@ def _uncertainty(
     slopes += [1.5 * hertz.stiffness * np.sqrt(depth_m)] if contact_is_free else []
     slopes += beside
     air = depth_m <= 0.0
-    rounding_N = _undithered_N(force_N, residual_N[air])
+    rounding_N = undithered_N(force_N, residual_N[air])
     sigmas, n_effective = correlated_sigmas(np.column_stack(slopes), residual_N, np.where(air, rounding_N, 0.0))
     degrees = max(n_effective * float(np.mean(~air)) - len(slopes), 1.0)
     return (student_t_95(degrees) * float(sigmas[0]), float(sigmas[1]) if contact_is_free else 0.0), n_effective
@@ -273,7 +273,7 @@ def _uncertainty(
 def _search(tip_m: Floats, force_N: Floats, contact_m: float | None, baseline_N: float | None) -> tuple[float, float, float]:
     """Stiffness in N/m^1.5, contact height and baseline with the least squares over all samples."""
     low_m, high_m = float(tip_m.min()), float(tip_m.max())
-    for _ in range(FINE if contact_m is None else 1):
+    for number in range(FINE if contact_m is None else 1):
         contact = np.linspace(low_m, high_m, GRID) if contact_m is None else np.array([contact_m])
         depth_m = np.maximum(contact[:, None] - tip_m, 0.0)
         hertz = depth_m * np.sqrt(depth_m)
@@ -285,12 +285,17 @@ def _search(tip_m: Floats, force_N: Floats, contact_m: float | None, baseline_N:
         stiffness = product / np.maximum(squares, np.finfo(float).tiny)
         best = int(np.argmax(product * stiffness))
         step_m = (high_m - low_m) / (GRID - 1)
-        low_m, high_m = contact[best] - 2.0 * step_m, contact[best] + 2.0 * step_m
+        above_m = high_m - low_m if number == 0 and best == GRID - 1 else 2.0 * step_m  # the curve may begin below its contact
+        low_m, high_m = contact[best] - 2.0 * step_m, contact[best] + above_m
     return float(stiffness[best]), float(contact[best]), float(rest_N - stiffness[best] * level[best])
 
 
-def _undithered_N(force_N: Floats, at_rest_N: Floats) -> float:
-    """One standard deviation of what rounding leaves in the mean of the samples at rest.
+def undithered_N(force_N: Floats, at_rest_N: Floats) -> float:
+    """One standard deviation of what rounding leaves in the mean of samples at rest.
+
+    Args:
+        force_N: Forces (n,), whose smallest step is the count.
+        at_rest_N: Residuals (k,) at rest, which show the noise.
 
     A count q that noise of sigma s dithers leaves Σ (q/πk)² exp(-(2πks/q)²)/2 of variance, q²/12 without noise (Widrow 1956).
     """
@@ -336,8 +341,9 @@ def _strained(depth_m: float, tip_radius_m: float, thickness_m: float | None) ->
 def _thin_data(indentation_m: Floats, contact_m: float | None, baseline_N: float | None) -> list[str]:
     before, touching = int(np.sum(indentation_m <= 0.0)), int(np.sum(indentation_m > 0.0))
     warnings = []
-    if before < FEWEST_SAMPLES and contact_m is None and baseline_N is None:
-        warnings.append(f"only {before} samples lie before contact, so contact point and baseline rest on the contact law alone")
+    if before < FEWEST_SAMPLES and contact_m is None:
+        rest = "contact point and baseline rest" if baseline_N is None else "the contact point rests"
+        warnings.append(f"only {before} samples lie before contact, so {rest} on the contact law alone")
     if touching < FEWEST_SAMPLES:
         warnings.append(f"only {touching} samples lie in contact; press deeper or sample faster")
     return warnings

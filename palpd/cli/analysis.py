@@ -82,8 +82,10 @@ def analyse(
         refuse_site(file, site)
         values["force_unit"], notes = curve_options.unit_of(force_column or OWN[0], "force", force_unit)
         values["length_unit"], more = curve_options.unit_of(depth_column or height_column or OWN[1], "length", length_unit)
+        read = read_curve(file, Mapping(**{field.name: values[field.name] for field in fields(Mapping)}))
+        curve_options.refuse_row_of_units(read, values["force_unit"], values["length_unit"])
         curve = analyse_curve(
-            read_curve(file, Mapping(**{field.name: values[field.name] for field in fields(Mapping)})),
+            read,
             tip_radius_m=refuse_unknown_tip(tip_radius_m),
             poisson_ratio=poisson_ratio,
             machine_stiffness_N_per_m=machine_stiffness_N_per_m,

@@ -116,7 +116,7 @@ def import_(
     ] = None,
     force_column: curve_options.ForceColumn = None,
     force_unit: Annotated[
-        Literal["N", "mN", "uN", "nN", "pN", "kN", "kip", "lbf", "gf", "kgf", "V", "mV", "Nm", "mNm", "Nmm", "Ncm"] | None,
+        Literal["N", "cN", "mN", "uN", "nN", "pN", "kN", "kip", "lbf", "gf", "kgf", "V", "mV", "Nm", "mNm", "Nmm", "Ncm"] | None,
         typer.Option("--force-unit", help="unit of the force, or of the torque of a joint"),
     ] = None,
     depth_column: curve_options.DepthColumn = None,

@@ -230,7 +230,8 @@ class _Reading:
         self._tables = self._columns_by_file()
         vectors = [*together, *(each for each in (self._twist, self._command) if each is not None)]
         self._columns = self._read([*vectors, *((source, name) for source, names in self._tables for name in names)])
-        self._origin_ns = min((self._columns[source.path, name].origin_ns for source, name in vectors), default=0)
+        origins_ns = [self._columns[source.path, name].origin_ns for source, name in vectors]
+        self._origin_ns = min(origins_ns + [column.origin_ns for column in self._columns.values() if column.origin_ns], default=0)
 
     def _refuse_unused(self) -> None:
         """Refuse options that the chosen motion and force would ignore. Raises BadInput."""
@@ -244,6 +245,12 @@ class _Reading:
         if self._pose is None and (given.twist or given.command):
             option = "vz_m_per_s" if given.twist else "z_cmd_m"
             raise BadInput(f"--{'twist' if given.twist else 'command'} belongs to --pose; with columns give --column {option}=NAME")
+        if self._pose is not None and (given.length_unit or given.length_m_per_V or given.height_down_positive):
+            raise BadInput(
+                "--length-unit, --length-m-per-V and --height-down-positive belong to columns; a pose is in m, and --axis -z turns it"
+            )
+        if self._wrench is not None and (given.force_unit or given.force_N_per_V):
+            raise BadInput("--force-unit and --force-N-per-V belong to --force-column; a wrench is in N and Nm")
         if self._wrench is None and given.wrench_in:
             raise BadInput("--wrench-in belongs to --wrench; a column of force is along the height")
 
@@ -353,9 +360,9 @@ class _Reading:
         return columns
 
     def _times(self, column: ChannelData) -> Floats:
-        """Times of a vector on the clock of all."""
-        assert column.t_s is not None
-        shift_ns = column.origin_ns - self._origin_ns
+        """Times of a channel on the clock of all; without an origin they are their own."""
+        assert column.t_s is not None  # else a column is named for it
+        shift_ns = column.origin_ns - self._origin_ns if column.origin_ns else 0
         return column.t_s + shift_ns * 1e-9 if shift_ns else column.t_s
 
     def _named_columns(self, *, motion: bool) -> dict[str, Quantity]:
@@ -430,8 +437,7 @@ class _Reading:
         scaled = {name: self._scaled(source, name, quantity) for name, quantity in named.items()}
         if self.options.rate_Hz is not None:
             return np.arange(next(iter(lengths.values()))) / self.options.rate_Hz, scaled
-        t_s = self._scaled(source, time, "time") if time else self._columns[source.path, next(iter(named))].t_s
-        assert t_s is not None  # else a column is named for it
+        t_s = self._scaled(source, time, "time") if time else self._times(self._columns[source.path, next(iter(named))])
         _refuse_disorder(t_s, time or "time", source.path.name)
         return t_s, scaled
 

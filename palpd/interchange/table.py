@@ -264,14 +264,16 @@ def _header(
 ) -> tuple[set[int], tuple[str, ...], tuple[str, ...]]:
     """Numbers of the lines of the header, its names and its units; a table that begins with numbers names its columns by their number."""
     above = [number for number in range(begin) if lines[number].strip()]
-    candidates = [(number, cells_of(lines[number].lstrip("# \t%"), separator)) for number in reversed(above[-4:])]
+    # a tab alone is no comment: it begins the header of an index without a name, as pandas writes it
+    candidates = [(number, cells_of(re.sub(r"^\s*[#%][#%\s]*", "", lines[number]), separator)) for number in reversed(above[-4:])]
     fitting = [(number, cells) for number, cells in candidates if len(cells) == width]
     if not fitting:
         for _, cells in candidates[:1]:
-            refuse_decimal_commas(path.name, cells, cells_of(lines[begin], separator), separator or " ")
+            refuse_decimal_commas(path.name, cells, cells_of(lines[begin], separator), separator)
         return set(), tuple(f"column {number + 1}" for number in range(width)), ("",) * width
     number, cells = fitting[0]
-    if len(fitting) > 1 and all(not cell or unit_named("", cell) or cell.startswith(("(", "[")) for cell in cells):
+    known = sum(1 for cell in cells if unit_named("", cell) or cell.startswith(("(", "[")))
+    if len(fitting) > 1 and known >= 2 and 2 * known >= sum(1 for cell in cells if cell):  # one may be in °C
         return {number, fitting[1][0]}, tuple(fitting[1][1]), tuple(cell.strip("()[]") for cell in cells)
     return {number}, tuple(cells), ("",) * width
 

@@ -50,8 +50,9 @@ class TdmsReader:
                 step_s = every[name].properties.get("wf_increment")
                 offset_s = float(every[name].properties.get("wf_start_offset", 0.0))
                 t_s = offset_s + float(step_s) * np.arange(len(values), dtype=np.float64) if step_s else None
+                start = np.datetime64(every[name].properties.get("wf_start_time", 0), "ns")
             refuse_not_finite(path, name, values)
-            columns[name] = ChannelData(values, t_s)
+            columns[name] = ChannelData(values, t_s, max(int(start.astype(np.int64)), 0))  # LabVIEW's own zero is in 1904
         return columns
 
 

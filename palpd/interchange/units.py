@@ -19,7 +19,7 @@ Quantity = Literal["force", "length", "time", "torque", "speed", "angle", "angul
 POUND_N = 0.45359237 * 9.80665
 FACTORS: dict[Quantity, dict[str, float]] = {
     "force": {
-        "N": 1.0, "mN": 1e-3, "uN": 1e-6, "nN": 1e-9, "pN": 1e-12, "kN": 1e3, "kip": 1e3 * POUND_N, "lbf": POUND_N,
+        "N": 1.0, "cN": 1e-2, "mN": 1e-3, "uN": 1e-6, "nN": 1e-9, "pN": 1e-12, "kN": 1e3, "kip": 1e3 * POUND_N, "lbf": POUND_N,
         "gf": 9.80665e-3, "kgf": 9.80665,
     },
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254},
@@ -32,7 +32,8 @@ FACTORS: dict[Quantity, dict[str, float]] = {
 """Factor of every unit to the SI unit of its quantity, which stands first."""
 VOLTS = {"V": 1.0, "mV": 1e-3}
 SPELLINGS = {
-    "newton": "N", "newtons": "N", "kips": "kip", "lb": "lbf", "lbs": "lbf", "inch": "in", "inches": "in", "micron": "um",
+    "newton": "N", "newtons": "N", "kn": "kN", "kips": "kip", "lb": "lbf", "lbs": "lbf", "g": "gf", "gram": "gf",
+    "grams": "gf", "kg": "kgf", "inch": "in", "inches": "in", "micron": "um",
     "microns": "um", "sec": "s", "secs": "s", "second": "s", "seconds": "s", "volt": "V", "volts": "V", "m_per_s": "m/s", "m s^-1": "m/s",
     "m*s^-1": "m/s", "degrees": "deg", "degree": "deg", "°": "deg", "radian": "rad", "radians": "rad", "°/s": "deg/s",
     "rad_per_s": "rad/s", "N m": "Nm", "N*m": "Nm", "N·m": "Nm",
@@ -95,6 +96,18 @@ def unit_named(name: str, unit: str = "") -> str | None:
     return plain.lower() if plain.lower() in ("kip", "lbf", "mm", "cm") else None  # in capitals no other unit
 
 
+def unknown_unit(name: str, unit: str = "") -> str:
+    """What stands in the place of a unit and is none that palpd knows; empty otherwise.
+
+    Args:
+        name: Name of the column, such as "Force (cps)".
+        unit: Unit that the file states beside it.
+    """
+    bracketed = BRACKETED.search(name)
+    text = unit.strip() or (bracketed.group(1) if bracketed else "")
+    return text if unit_named(name, unit) is None and any(letter.isalpha() for letter in text) else ""
+
+
 def scale_of(
     column: str, quantity: Quantity, values: Floats, *, stated: str = "", given: str | None = None, per_volt: float | None = None
 ) -> UnitScale:
@@ -110,7 +123,7 @@ def scale_of(
         The scale; its source says whether it must be confirmed.
 
     Raises:
-        BadInput: The unit belongs to another quantity, or volts come without their factor.
+        BadInput: The unit is unknown or belongs to another quantity, or volts come without their factor.
     """
     named = unit_named(column, stated)
     unit = given or named
@@ -121,6 +134,12 @@ def scale_of(
         return UnitScale(column, quantity, unit, VOLTS[unit] * per_volt, "given")
     units = FACTORS[quantity]
     if given is not None:
+        if given not in units:
+            joint = any(given in FACTORS[of_joint] for of_joint in ("angle", "torque"))
+            raise BadInput(
+                f"{given} is given for column {column}, expected a {quantity} in {', '.join(units)}; correct the unit"
+                f"{', or give --joint, if these are angle and torque of a joint' if joint else ''}"
+            )
         return UnitScale(column, quantity, given, units[given], "given")
     if named is not None and named not in units:
         joint = quantity in ("length", "force") and any(named in FACTORS[of_joint] for of_joint in ("angle", "torque"))
@@ -132,7 +151,7 @@ def scale_of(
     if named is not None:
         return UnitScale(column, quantity, named, units[named], "stated" if named == si else "guessed")
     size = _size_guess(quantity, values)
-    return UnitScale(column, quantity, size or si, units[size or si], "guessed" if size else "assumed")
+    return UnitScale(column, quantity, size or si, units[size or si], "guessed" if size or unknown_unit(column, stated) else "assumed")
 
 
 def _size_guess(quantity: Quantity, values: Floats) -> str | None:

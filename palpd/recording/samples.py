@@ -4,6 +4,7 @@ import csv
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
@@ -203,7 +204,7 @@ def numbers_of(values: object, name: str, column: str) -> Floats:
     """A column of a table or a data frame as numbers.
 
     Args:
-        values: What stands in the column; dates or durations for `t_s` only.
+        values: What stands in the column; dates, also with a time zone, or durations for `t_s` only.
         name: What errors call the recording.
 
     Returns:
@@ -215,6 +216,8 @@ def numbers_of(values: object, name: str, column: str) -> Floats:
         ValueError: It holds something that is no number.
     """
     array = np.asanyarray(values)
+    if array.dtype.kind == "O" and array.ndim == 1 and len(array) and all(isinstance(value, datetime) for value in array):
+        array = (array - array[:1]).astype("timedelta64[ns]")
     if array.dtype.kind in "mM":
         if column != "t_s":
             raise RecordingError(f"{name}: {column} holds dates or durations ({array.dtype}), expected numbers; name another column.")

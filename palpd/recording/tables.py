@@ -33,12 +33,12 @@ def is_comment(line: str) -> bool:
     return line.lstrip()[:1] in ("", "#")
 
 
-def cells_of(line: str, delimiter: str) -> list[str]:
+def cells_of(line: str, delimiter: str | None) -> list[str]:
     """Split a line into cells without blanks around them.
 
     Args:
         line: One line of a table.
-        delimiter: What separates its cells.
+        delimiter: What separates its cells; None: white space.
 
     Returns:
         The cells (n,).
@@ -46,6 +46,8 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     Raises:
         RecordingError: A cell is longer than any number or name.
     """
+    if delimiter is None:
+        return line.split()
     try:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
     except csv.Error as error:
@@ -101,12 +103,12 @@ def read_layout(file: IO[str], name: str, columns: Sequence[str]) -> Layout:
     return Layout(header, delimiter, delimiter != "," and "," in row, above)
 
 
-def refuse_decimal_commas(name: str, header: Sequence[str], row: Sequence[str], delimiter: str) -> None:
+def refuse_decimal_commas(name: str, header: Sequence[str], row: Sequence[str], delimiter: str | None) -> None:
     """Refuse a row in which commas stand both for the decimal point and between cells.
 
     Args:
         name: What errors call the table.
-        delimiter: What separates them.
+        delimiter: What separates its cells; None: white space.
 
     Raises:
         RecordingError: The row has more cells than the header.

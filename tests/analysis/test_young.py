@@ -149,6 +149,18 @@ def test_strained_assumptions_are_named() -> None:
     assert any("before contact" in warning for warning in fit_contact(no_air_m, hertz_N(-no_air_m), RADIUS_M, 0.5).warnings)
 
 
+@pytest.mark.parametrize("baseline_N", [None, 0.0])
+@pytest.mark.parametrize("start_m", [-0.0002, -0.001, -0.0025])
+def test_a_curve_that_begins_in_contact_is_extrapolated_to_it(start_m: float, baseline_N: float | None) -> None:
+    """The contact was sought among the recorded heights alone: 1 mm in contact of 3 gave 1.4 times the modulus, or none."""
+    tip_m = np.linspace(start_m, -0.006, 400)
+    noisy_N = hertz_N(-tip_m) + np.random.default_rng(2).normal(0.0, 0.002, 400)
+    fit = fit_contact(tip_m, noisy_N, RADIUS_M, 0.5, baseline_N=baseline_N)
+    assert fit.youngs_modulus_Pa == pytest.approx(E_PA, rel=0.02)
+    assert fit.ci95_Pa[0] < E_PA < fit.ci95_Pa[1]
+    assert any("only 0 samples lie before contact" in warning for warning in fit.warnings)
+
+
 def test_a_curve_without_contact_is_refused() -> None:
     tip_m = np.linspace(0.004, -0.006, 800)
     with pytest.raises(RecordingError, match="never rises with depth"):

@@ -702,7 +702,19 @@ def test_a_curve_is_read_in_the_unit_that_the_name_of_its_column_says(tmp_path: 
     assert "column load (mN) was read in N, as given, and its name says mN" in " ".join(
         modulus("load (mN)", "--force-unit", "N").output.split()
     )
-    assert "column load (lbf) is in lbf, expected N, mN, uN, nN" in str(modulus("load (lbf)").exception)
+    for name, unit in (
+        ("load (lbf)", "lbf"),
+        ("load (g)", "gf"),
+        ("load (KN)", "kN"),
+        ("load (V)", "V"),
+        ("load (cps)", "cps"),
+        ("a (mm)", "mm"),
+    ):
+        assert f"column {name} is in {unit}, expected a force in N, mN, uN, nN" in str(modulus(name).exception)
+    assert "E = 50 kPa" in modulus("load (cps)", "--force-unit", "mN").output
+    rows.insert(0, "mm,mN")
+    assert "mN stands below load, and it was read in N; give --force-unit" in str(modulus("load").exception)
+    assert "E = 50 kPa" in modulus("load", "--force-unit", "mN").output
 
 
 def test_what_a_stopped_free_motion_has_left_does_not_stand_in_the_way_of_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -176,6 +176,10 @@ def test_columns_beside_a_pose_are_refused_and_not_ignored(tmp_path: Path) -> No
         read_files([path], ImportOptions(columns={"z_cmd_m": "x"}))
     with pytest.raises(BadInput, match="--column fx_N belongs to --force-column; a wrench holds all six axes"):
         read_files([path], ImportOptions(columns={"fx_N": "x"}))
+    with pytest.raises(BadInput, match="--force-column; a wrench is in N and Nm"):
+        read_files([path], ImportOptions(force_unit="mN"))
+    with pytest.raises(BadInput, match="belong to columns; a pose is in m, and --axis -z turns it"):
+        read_files([path], ImportOptions(length_unit="mm"))
 
 
 def test_a_wrench_without_a_frame_asks_for_its_axes(tmp_path: Path) -> None:

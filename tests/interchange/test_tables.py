@@ -86,6 +86,9 @@ def test_an_unnamed_unit_is_si_and_said_and_a_size_that_is_impossible_is_questio
         read_files([deep], ImportOptions("F", height_column="z", time_columns=("t",)))
     with pytest.raises(BadInput, match=r"the stroke of z_m is 4 m, expected 0 to 1 m .* or accept it with --accept-implausible"):
         read_files([deep], ImportOptions("F", height_column="z", time_columns=("t",), length_unit="m"))
+    odd = written(tmp_path, table("t,F (cps),z", T_S, FORCE_N, -DEPTH_M), "odd.csv")
+    with pytest.raises(BadInput, match=r"palpd guesses that F \(cps\) is a force in N; .* or give --force-unit N"):
+        read_files([odd], ImportOptions("F (cps)", height_column="z", time_columns=("t",)))
     late = written(tmp_path, table("t,F,z", T_S * 1e3, FORCE_N, -DEPTH_M), "late.csv")
     with pytest.raises(BadInput, match="t is a time in ms"):
         read_files([late], ImportOptions("F", height_column="z", time_columns=("t",)))
@@ -100,10 +103,15 @@ def test_an_unnamed_unit_is_si_and_said_and_a_size_that_is_impossible_is_questio
         ("t_s,load,z_m", 0.1, {"force_unit": "V", "force_N_per_V": 10.0}),
         ("t_s,load (V),z_m", 0.1, {"force_N_per_V": 10.0}),
         ("t_s,LOAD (KIP),z_m", 1.0 / 4448.2216152605, {"force_unit": "kip"}),
+        ("t_s,Load (KN),z_m", 1e-3, {"units_confirmed": True}),
+        ("t_s,Force (g),z_m", 1.0 / 9.80665e-3, {"units_confirmed": True}),
+        ("t_s,Load_kg,z_m", 1.0 / 9.80665, {"units_confirmed": True}),
+        ("t_s,Force [cN],z_m", 100.0, {"units_confirmed": True}),
+        ("t_s,F,z_m,T\ns,mN,m,°C", 1e3, {"units_confirmed": True}),
     ],
 )
 def test_forces_in_other_units(tmp_path: Path, header: str, factor: float, options: dict[str, object]) -> None:
-    path = written(tmp_path, table(header, T_S, FORCE_N * factor, -DEPTH_M))
+    path = written(tmp_path, table(header, T_S, FORCE_N * factor, -DEPTH_M, *[T_S] * (header.partition("\n")[0].count(",") - 2)))
     force = header.split(",")[1]
     imported = read_files([path], ImportOptions(force, height_column="z_m", time_columns=("t_s",), **options))  # type: ignore[arg-type]
     np.testing.assert_allclose(imported.samples.wrench[:, 2], FORCE_N, rtol=1e-12, atol=1e-12)
@@ -113,7 +121,10 @@ def test_volts_ask_for_their_factor_and_a_wrong_quantity_for_another_column(tmp_
     path = written(tmp_path, table("t_s,F (V),z_mm,h", T_S, FORCE_N, -DEPTH_M, DEPTH_M))
     with pytest.raises(BadInput, match=r"column F \(V\) is in V; give --force-N-per-V"):
         read_files([path], ImportOptions("F (V)", height_column="h", time_columns=("t_s",)))
-    with pytest.raises(BadInput, match="column z_mm is in mm, expected a force in N, mN"):
+    for unit, hint in (("Nm", "or give --joint"), ("ounces", "correct the unit")):
+        with pytest.raises(BadInput, match=f"{unit} is given for column h, expected a force in N, cN, .*{hint}"):
+            read_files([path], ImportOptions("h", height_column="z_mm", time_columns=("t_s",), force_unit=unit))
+    with pytest.raises(BadInput, match="column z_mm is in mm, expected a force in N, cN, mN"):
         read_files([path], ImportOptions("z_mm", height_column="h", time_columns=("t_s",)))
 
 
@@ -127,6 +138,12 @@ def test_volts_ask_for_their_factor_and_a_wrong_quantity_for_another_column(tmp_
 )  # fmt: skip
 def test_units_in_names(name: str, unit: str | None) -> None:
     assert unit_named(name) == unit
+
+
+@pytest.mark.parametrize("header", ["\tt_s\tz_m\tfz_N", "# n\tt_s\tz_m\tfz_N"])
+def test_an_index_without_a_name_is_a_column(tmp_path: Path, header: str) -> None:
+    path = written(tmp_path, table(header, np.arange(N), T_S, -DEPTH_M, FORCE_N, separator="\t"), "frame.tsv")
+    np.testing.assert_allclose(read_files([path], ImportOptions()).samples.wrench[:, 2], FORCE_N, rtol=0, atol=1e-12)
 
 
 def test_a_row_of_units_below_the_header_and_two_vectors_more(tmp_path: Path) -> None:
@@ -407,6 +424,20 @@ def test_labview_files(tmp_path: Path) -> None:
     samples = read_files([path], options).samples
     np.testing.assert_allclose(samples.wrench[:, 2], FORCE_N, rtol=0, atol=1e-12)
     np.testing.assert_allclose(samples.t_s, T_S, rtol=0, atol=1e-12)
+
+
+def test_waveforms_of_labview_that_began_at_different_times_are_aligned(tmp_path: Path) -> None:
+    """The force of a second task, which began 0.2 s later, stood 0.2 s too early beside the motion."""
+    nptdms = pytest.importorskip("nptdms")
+    later = T_S - T_S[0] >= 0.1999
+    for name, values, start_ms in (("Height", -DEPTH_M, 0), ("Force", FORCE_N[later], 200)):
+        start = np.datetime64("2026-03-01T10:00:00", "ms") + np.timedelta64(start_ms, "ms")
+        properties = {"unit_string": "m" if name == "Height" else "N", "wf_increment": 0.002, "wf_start_time": start}
+        with nptdms.TdmsWriter(tmp_path / f"{name}.tdms") as writer:
+            writer.write_segment([nptdms.ChannelObject("Press", name, values, properties)])
+    paths = [tmp_path / "Height.tdms", tmp_path / "Force.tdms"]
+    samples = read_files(paths, ImportOptions("Press/Force", height_column="Press/Height")).samples
+    np.testing.assert_allclose(samples.z_m, -DEPTH_M[later], rtol=0, atol=1e-9)
 
 
 def test_afm_curves(tmp_path: Path) -> None:

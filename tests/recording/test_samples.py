@@ -1,5 +1,6 @@
 """A recording is read exactly, or refused with one sentence."""
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,14 @@ def test_dates_as_times_count_in_their_own_unit(unit: str) -> None:
     times[3] = np.datetime64("NaT")
     with pytest.raises(RecordingError, match="no time in row 4"):
         numbers_of(times, "a", "t_s")
+
+
+def test_dates_with_a_time_zone_count_as_times() -> None:
+    """A column of pandas with a time zone is an array of such dates."""
+    dates = [datetime(2026, 5, 1, 12, tzinfo=UTC) + timedelta(seconds=0.25 * step) for step in range(40)]
+    np.testing.assert_array_equal(numbers_of(dates, "a", "t_s"), 0.25 * np.arange(40))
+    with pytest.raises(RecordingError, match="z_m holds dates"):
+        numbers_of(dates, "a", "z_m")
 
 
 @pytest.mark.parametrize("text", ["nan", "inf", "", "1,2"[:1] + "x"])
