@@ -87,6 +87,22 @@ def pneumatic_seal(source: Path, out: Path, recordings: Mapping[str, tuple[str, 
         _save(out / name, 0.01, [-laser_mm[part] / 1000, force_N[part] - tare_N], "t_s,z_m,fz_N", "%.2f %.6f %.2f")
 
 
+def silicone_press(source: Path, out: Path, recordings: Mapping[str, str], *, last_s: int) -> None:
+    """Convert compression tests of github.com/abubakardawood/tissue-phantom-material-database.
+
+    Args:
+        recordings: File by name.
+        last_s: End of the part that is kept.
+    """
+    for name, file in recordings.items():
+        lines = (source / "data" / file).read_text().splitlines()
+        first = next(row for row, line in enumerate(lines) if line.startswith("Time")) + 1  # nine or ten lines of metadata
+        t_s, compression_mm, load_N = np.array([line.split(",")[:3] for line in lines[first:]], dtype=float).T
+        even_s = np.arange(10 * last_s) / 10  # some files hold more rows, at steps of the load
+        table = [0.0 - np.interp(even_s, t_s, compression_mm) / 1000, np.interp(even_s, t_s, load_N)]
+        _save(out / name, 0.1, table, "t_s,z_m,fz_N", "%.1f %.8f %.5f")
+
+
 def _table(path: Path) -> dict[str, NDArray[np.float64]]:
     with path.open() as file:
         names = file.readline().strip().split(",")
