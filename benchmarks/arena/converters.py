@@ -87,6 +87,39 @@ def pneumatic_seal(source: Path, out: Path, recordings: Mapping[str, tuple[str, 
         _save(out / name, 0.01, [-laser_mm[part] / 1000, force_N[part] - tare_N], "t_s,z_m,fz_N", "%.2f %.6f %.2f")
 
 
+def silicone_press(source: Path, out: Path, recordings: Mapping[str, str], *, last_s: int) -> None:
+    """Convert compression tests of github.com/abubakardawood/tissue-phantom-material-database.
+
+    Args:
+        recordings: File by name.
+        last_s: End of the part that is kept.
+    """
+    for name, file in recordings.items():
+        lines = (source / "data" / file).read_text().splitlines()
+        first = next(row for row, line in enumerate(lines) if line.startswith("Time")) + 1  # nine or ten lines of metadata
+        t_s, compression_mm, load_N = np.array([line.split(",")[:3] for line in lines[first:]], dtype=float).T
+        even_s = np.arange(10 * last_s) / 10  # some files hold more rows, at steps of the load
+        table = [0.0 - np.interp(even_s, t_s, compression_mm) / 1000, np.interp(even_s, t_s, load_N)]
+        _save(out / name, 0.1, table, "t_s,z_m,fz_N", "%.1f %.8f %.5f")
+
+
+def torque_ramp(source: Path, out: Path, recordings: Mapping[str, tuple[str, int, int]]) -> None:
+    """Convert torque ramps of github.com/JelmerV/Anti-Backlash-Cycloidal-Actuator.
+
+    Args:
+        recordings: By name: file, first and last second, from the first ramp to 40 Nm on.
+    """
+    for name, (file, first_s, last_s) in recordings.items():
+        column = _table(source / "Code" / "test_data" / file)
+        angle_rad = (column["POSITION"] - column["POSITION"].mean()) * 2 * np.pi  # the makers take off the mean too
+        t_s = column["TIME"] - column["TIME"][column["test_nr"] >= 100][0]
+        part = (t_s >= first_s) & (t_s <= last_s)
+        tick_s, tick = np.unique(t_s[part], return_inverse=True)  # six or seven rows share a tick of the clock
+        even_s = np.arange(tick_s[0], tick_s[-1], 1 / 64)
+        table = [np.bincount(tick, values[part]) / np.bincount(tick) for values in (angle_rad, -column["TORQUE"])]
+        _save(out / name, 1 / 64, [np.interp(even_s, tick_s, values) for values in table], "t_s,angle_rad,torque_Nm", "%.6f %.6f %.3f")
+
+
 def _table(path: Path) -> dict[str, NDArray[np.float64]]:
     with path.open() as file:
         names = file.readline().strip().split(",")
