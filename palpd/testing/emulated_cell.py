@@ -26,7 +26,7 @@ from palpd.recording.ring import Ring
 from palpd.testing.processes import PATIENCE_S, command_of, family, until
 from palpd.tick import Phase
 
-ATTEMPTS = 3
+ATTEMPTS = 5
 STALLED_S = 0.002
 """An emulator, on a real-time thread where that is permitted, that was later than this measures the machine."""
 SOFT_N_PER_M = 500.0
