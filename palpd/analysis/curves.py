@@ -8,7 +8,7 @@ from typing import Literal, TypedDict
 import numpy as np
 
 from palpd.analysis.hertz_misfit import HertzMisfit, covering, range_of
-from palpd.analysis.young import ContactFit, fit_contact, modulus_hertz_Pa, modulus_peak_Pa, refuse_undetermined
+from palpd.analysis.young import ContactFit, equation_1_notes, fit_contact, modulus_hertz_Pa, modulus_peak_Pa, refuse_undetermined
 from palpd.control.surface import FEWEST_SAMPLES
 from palpd.errors import BadInput, RecordingError
 from palpd.files import opened
@@ -246,7 +246,7 @@ def analyse_curve(
         "rows_skipped": curve.skipped,
         "warnings": [
             *_of_several(curve, first, last),
-            *(_of_poisson(poisson_ratio) if by_peak else []),
+            *(equation_1_notes(poisson_ratio, "equation 1 is", " (--fit loading)") if by_peak else []),
             *_warnings(curve, hertz, tip_radius_m, other if held and baseline == "auto" else None),
         ],
     }
@@ -270,16 +270,6 @@ def _of_several(curve: Curve, first: int, last: int) -> list[str]:
     if presses < 2:
         return []
     return [f"the curve holds {presses} presses, and E is that of the way down in samples {first + 1} to {last + 1} alone"]
-
-
-def _of_poisson(poisson_ratio: float) -> list[str]:
-    """Equation 1 of Guo, Xiao, Ren 2019 is Hertz times 1/(2(1 - ν))."""
-    if abs(poisson_ratio - 0.5) < 1e-6:
-        return []
-    return [
-        f"Poisson's ratio is {poisson_ratio:g}, and equation 1 is Hertz at 0.5 only: Hertz gives {2.0 * (1.0 - poisson_ratio):.3g} times "
-        "as much (--fit loading)"
-    ]
 
 
 def _odd_lengths(curve: Curve, depth_m: float, tip_radius_m: float) -> list[str]:

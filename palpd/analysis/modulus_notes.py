@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from palpd.analysis.modulus_intervals import mean_sigma_N
 from palpd.analysis.results import SiteResult, Track, peak_width, track
+from palpd.analysis.young import equation_1_notes
 from palpd.control.surface import FEWEST_SAMPLES
 from palpd.recording.header import RecordingHeader
 from palpd.tick import Mode, Phase
@@ -46,7 +47,9 @@ def modulus_notes(rows: NDArray[np.void], header: RecordingHeader) -> list[str]:
     """
     body = header["body"]
     whole = track(rows, body["delay_s"], body["machine_stiffness_N_per_m"] or math.inf)
-    notes = _of_poisson(body["poisson_ratio"])
+    notes = equation_1_notes(
+        body["poisson_ratio"], "the moduli of this table are by equation 1 of the paper, which is", ", as palpd analyse says"
+    )
     for index, site in enumerate(header["sites"]):
         of_site, name = whole.where(whole.site == index), site["name"]
         slope_N_per_m = _slope_in_the_air_N_per_m(of_site)
@@ -76,16 +79,6 @@ def give_notes(sites: Sequence[SiteResult], machine_stiffness_N_per_m: float | N
         f"how far arm, mount and sensor give way is not measured, so they count as rigid: at {SOFT_MACHINE_N_PER_M / 1e3:g} N for 1 mm a "
         f"modulus of this run would be {share:.0%} too low, at ten times that {share / 10.0:.1%}; put a rigid plate under the probe and "
         "run palpd stiffness"
-    ]
-
-
-def _of_poisson(poisson_ratio: float) -> list[str]:
-    """Equation 1 of Guo, Xiao, Ren 2019 is Hertz times 1/(2(1 - ν))."""
-    if abs(poisson_ratio - 0.5) < 1e-6:
-        return []
-    return [
-        f"Poisson's ratio is {poisson_ratio:g}, and the moduli of this table are by equation 1 of the paper, which is Hertz at 0.5 only: "
-        f"Hertz gives {2.0 * (1.0 - poisson_ratio):.3g} times as much, as palpd analyse says"
     ]
 
 

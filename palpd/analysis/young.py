@@ -86,6 +86,23 @@ def modulus_peak_Pa(force_N: float, depth_m: float, tip_radius_m: float, poisson
     return 3.0 * force_N * (1.0 + poisson_ratio) / (8.0 * depth_m * math.sqrt(tip_radius_m * depth_m))
 
 
+def equation_1_notes(poisson_ratio: float, moduli_are: str, other_way: str) -> list[str]:
+    """Say what Hertz gives where a modulus is by `modulus_peak_Pa`.
+
+    Args:
+        poisson_ratio: Poisson's ratio of the tissue.
+        moduli_are: How the sentence begins.
+        other_way: How it ends: where the reader finds Hertz's.
+
+    Returns:
+        One sentence, or none where Poisson's ratio is 0.5.
+    """
+    if abs(poisson_ratio - 0.5) < 1e-6:
+        return []
+    times = 2.0 * (1.0 - poisson_ratio)
+    return [f"Poisson's ratio is {poisson_ratio:g}, and {moduli_are} Hertz at 0.5 only: Hertz gives {times:.3g} times as much{other_way}"]
+
+
 def modulus_hertz_Pa(force_N: float, depth_m: float, tip_radius_m: float, poisson_ratio: float) -> float:
     """Young's modulus by Hertz for a sphere on a half-space: E = 3 f (1-ν²) / (4 √r d^1.5).
 

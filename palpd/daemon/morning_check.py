@@ -40,7 +40,7 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
     if config.check.plate:
         _refuse_elsewhere(state)
         runs.insert(0, ("stiffness", Plan()))
-    number = 1 + max((check.number for _, check in kept_checks(config.paths.runs)), default=0)  # what is damaged is said before a motion
+    kept = kept_checks(config.paths.runs)  # what is damaged is said before a motion
     before = state.last_check()
     state.keep("check", LastCheck(now(), "open", "It did not come to its end."))  # what a death of this program leaves behind
     recordings: list[Path] = []
@@ -63,7 +63,8 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
         _keep_unfinished(state, str(error))
         raise
     day = CheckedDay(now(), features, temperature_C)
-    verdict, healthy, note = judge_today(config.paths.runs, day, config.check.tolerances)
+    verdict, healthy, note = judge_today(kept, day, config.check.tolerances)
+    number = 1 + max((earlier.number for _, earlier in kept), default=0)
     check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note, number=number)
     keep_check(puck, check)
     _keep_last(state, check)

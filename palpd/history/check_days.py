@@ -127,17 +127,19 @@ def change_of_numbers(before: CheckedDay, today: CheckedDay) -> str:
     )
 
 
-def judge_today(folder: Path, today: CheckedDay, tolerances: CheckTolerances) -> tuple[DayVerdict, list[Path], str]:
-    """Judge a day by the checks that are kept.
+def judge_today(
+    kept: Sequence[tuple[Path, MorningCheck]], today: CheckedDay, tolerances: CheckTolerances
+) -> tuple[DayVerdict, list[Path], str]:
+    """Judge a day by the checks before it.
 
     Args:
-        folder: The folder of the runs.
+        kept: As `kept_checks` gives them.
         today: What was measured.
 
     Returns:
         The verdict, the recordings of healthy days that a diagnosis compares with, and the note of `MorningCheck`.
     """
-    known = since_baseline(kept_checks(folder))
+    known = since_baseline(kept)
     verdicts = judged([*(by_numbers_of(check.day, today) for _, check in known), today], tolerances)
     healthy = [path for (path, _), verdict in zip(known, verdicts, strict=False) if verdict.level == "ok" and path.exists()]
     return verdicts[-1], healthy[:HEALTHY_COMPARED], change_of_numbers(known[-1][1].day, today) if known else ""
