@@ -181,7 +181,6 @@ def _do(devices: Devices, job: Job, ring: Ring, pipe: Connection, request: Calla
             if pipe.recv() != GO:
                 pipe.send(Failed(CALLED_OFF, 2))
                 return
-            ring.state = LoopState.RUNNING
         pipe.send(_run(job, devices, explainer, ring, request))
     finally:
         ring.state = LoopState.ENDED  # also where the loop did not begin
@@ -228,6 +227,7 @@ def _run(job: Job, devices: Devices, explainer: Explainer, ring: Ring, request: 
         devices.robot.move((0.0, 0.0, 0.0))  # arms the watchdog, which takes the controller some cycles: the grid begins after it
         clock.begin_soon()
         devices.sensor.read()  # the frames that were queued until now are too old
+        ring.state = LoopState.RUNNING  # ticks are due from here on: what came before may have waited for seconds on a busy machine
         try:
             outcome = loop.run()
         except Stopped as stopped:

@@ -20,28 +20,40 @@ from palpd.tick import Request
 
 
 @pytest.mark.parametrize("end", [Outcome(), Stopped("the robot refused a command")])
-def test_a_loop_says_that_it_ended_before_its_thread_becomes_an_ordinary_one(
+def test_a_loop_says_that_it_runs_only_while_its_thread_is_urgent_and_ticks_are_due(
     monkeypatch: pytest.MonkeyPatch, end: Outcome | Stopped
 ) -> None:
     """As an ordinary thread it may wait for seconds on a busy machine, and the supervisor took that for a loop that stood still."""
     ring = Ring.create(125.0)
-    states = []
+    ring.state = LoopState.STARTING
+    states: list[tuple[str, int]] = []
 
     @contextmanager
     def realtime() -> Iterator[Granted]:
+        states.append(("before", ring.state))
         yield Granted(True, True, True, ())
-        states.append(ring.state)
+        states.append(("after", ring.state))
 
-    loop = SimpleNamespace(rehearse=lambda: None, run=MagicMock(side_effect=[end]), outcome=Outcome())
+    def run() -> Outcome:
+        states.append(("ticks", ring.state))
+        if isinstance(end, Stopped):
+            raise end
+        return end
+
+    loop = SimpleNamespace(rehearse=lambda: states.append(("rehearsal", ring.state)), run=run, outcome=Outcome())
     monkeypatch.setattr(motion_process, "realtime", realtime)
     monkeypatch.setattr(motion_process, "drain", lambda sensor: None)
     monkeypatch.setattr(motion_process, "Loop", lambda *arguments: loop)
     try:
         job = Job("palpation", Config(), Plan(), reference=(0.0,) * 6)
-        ring.state = LoopState.RUNNING
         devices = Devices(MagicMock(), MagicMock(), 0.0, {"delay_s": 0.001})
         motion_process._run(job, devices, explainer_of(job, {}, 0.001), ring, lambda: Request.NONE)
-        assert states == [LoopState.ENDED]
+        assert states == [
+            ("before", LoopState.STARTING),
+            ("rehearsal", LoopState.STARTING),
+            ("ticks", LoopState.RUNNING),
+            ("after", LoopState.ENDED),
+        ]
     finally:
         ring.unlink()
         ring.close()
