@@ -1,5 +1,6 @@
 """Where documents, code and the Makefile point: links, anchors, sections of the contract, files of ARCHITECTURE.md, tests left out."""
 
+import ast
 import re
 import subprocess
 from pathlib import Path
@@ -55,6 +56,19 @@ def test_every_definition_that_architecture_names_stands_in_its_file() -> None:
     for name, definition in rows:
         defined = re.compile(rf"^(?:(?:def|class) {definition}\b|{definition}\b[^=\n]*= )", flags=re.MULTILINE)
         assert defined.search((ROOT / name).read_text(encoding="utf-8")), f"{definition} does not stand in {name}"
+
+
+def test_the_way_of_a_recording_through_the_diagnosis_is_that_of_the_code() -> None:
+    """Each function stands in its file, and its annotations hold the types that the table names."""
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| [\w, ]+ \| `(\w+)` \| ([^|]+) \| ([^|]+) \| `(\S+\.py)` \|$", text, flags=re.MULTILINE)
+    assert len(rows) > 20
+    for function, takes, gives, name in rows:
+        module = ast.parse((ROOT / "palpd" / "gap" / name).read_text(encoding="utf-8"))
+        (definition,) = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == function)
+        for types, annotated in ((takes, ast.unparse(definition.args)), (gives, ast.unparse(definition.returns or ast.Constant(None)))):
+            missing = set(re.findall(r"`([A-Z]\w+)`", types.partition(":")[0])) - set(re.findall(r"\w+", annotated))
+            assert not missing, f"{function} in {name}: {missing}"
 
 
 def test_what_make_quick_leaves_out_is_there() -> None:
