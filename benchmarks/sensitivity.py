@@ -324,8 +324,13 @@ def _shown(value: Any) -> str:
 HEAD = """<!-- written by python -m benchmarks.sensitivity --docs: change palpd/gap/assumptions.py, not this page -->
 # What a diagnosis assumes
 
-Every prior, threshold, cap and floor of a diagnosis stands in `palpd/gap/assumptions.py`, as `ASSUMED.prior.none` for example.
-[The model](explanation/inference.md) says where each of them enters. A *source* of "chosen" means that no measurement set the number.
+What a diagnosis assumes stands in `palpd/gap/assumptions.py`, as `ASSUMED.prior.none` for example. [The model](explanation/inference.md)
+says where each number enters. A *source* of "chosen" means that no measurement set the number. Other numbers were not varied:
+
+- prices and thresholds of a comparison with [healthy recordings](healthy.md), in `usual.py` (`PRICE_NATS`), `healthy_reference.py`
+  (`HABIT`), `onset.py` (`CLEAR_NATS`) and `healthy.py`,
+- the map from probabilities to stated ones, which was fitted to sealed cells (`calibration.json`),
+- guards, steps, grids, memory, and what an input may be. They stand beside their use, for example in `plausibility.py` and `fit.py`.
 
 The last column says what changed on sealed cells where that number alone was 30 % larger: the odds of a probability, the other numbers
 themselves, a count by at least 1. The score is the sum over these cells of the logarithm of the probability that is stated of the truth.
