@@ -1,10 +1,12 @@
 """What effects could be mistaken for, before anything is recorded."""
 
+import re
+
 from palpd.cell.cell_file import cell_from, nominal
 from palpd.cell.effects import EFFECTS, load_effects, user_effects
 from palpd.gap.assumptions import ASSUMED
-from palpd.gap.similar_effects import similar_effects
-from tests.paths import EXAMPLE
+from palpd.gap.similar_effects import Similarity, similar_effects
+from tests.paths import EXAMPLE, ROOT
 
 FEW = ("sensor.gain", "tissue.modulus", "robot.lag", "cable.friction", "contact.lateral", "probe.tilt")
 
@@ -38,3 +40,12 @@ def test_effects_are_compared_on_a_cell_whose_modulus_is_not_known() -> None:
     similar = similar_effects([EFFECTS["tissue.thickness"]], cell, library)
     assert similar[0].other == "robot.compliance"
     assert 0.9 < similar[0].cosine <= 1.0
+
+
+def test_the_page_quotes_the_words_that_are_printed() -> None:
+    text = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^ effect +similar +cosine +what\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    for row in block.splitlines():
+        effect, other, cosine, words = re.split(r" {2,}", row.strip())
+        snr = float((re.findall(r"SNR (\d+)", words) or [0])[0])
+        assert words == Similarity(effect, other, float(cosine), snr).words
