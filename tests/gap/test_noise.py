@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from inspect import getsource
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from scipy.sparse import csr_array
 
 from palpd.cell.cell_file import CellFile, EffectValues, nominal
 from palpd.cell.effects import EFFECTS
+from palpd.cell.effects.effect import ScatterKind
 from palpd.cell.simulation import simulate
 from palpd.cell.stages import WRENCH
 from palpd.gap.data.bins import Bins
@@ -16,6 +19,7 @@ from palpd.gap.data.cleaning import without_held, without_tails
 from palpd.gap.data.noise import FZ, lattice_step
 from palpd.gap.data.observations import observe
 from palpd.gap.data.rounding import coarse_step_N, noise_before_rounding, rounded_moments, rounding_of
+from palpd.gap.data.scatter import scatter_effects
 from palpd.gap.diagnosis import diagnose
 from palpd.gap.gaussian.whitening import Whitening
 from palpd.gap.model.problem import make_problem
@@ -23,6 +27,13 @@ from palpd.recording.oddities import measured_rms
 from palpd.recording.samples import Samples
 from palpd.testing.plain_cells import recording
 from palpd.tick import Floats
+
+
+def test_each_kind_of_scatter_has_a_test_of_the_readings() -> None:
+    """An effect of another kind would take part in no fit and in no test: it would never be named, without a word."""
+    kinds = {effect.scatter for effect in EFFECTS.values()} - {None}
+    assert kinds == set(get_args(ScatterKind))
+    assert all(f'"{kind}": ' in getsource(scatter_effects) for kind in kinds)
 
 
 def test_noise_is_measured_within_rests_and_not_in_the_steps_between_them() -> None:
