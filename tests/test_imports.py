@@ -70,3 +70,16 @@ def test_the_table_of_rooms_has_each_room_in_the_order_of_the_import_law() -> No
         rooms, table = set(table[: len(layer)]), table[len(layer) :]
         assert rooms == layer
     assert table == []
+
+
+def test_the_table_of_the_diagnosis_has_each_module_behind_what_it_imports() -> None:
+    text, gap = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"), ROOT / "palpd" / "gap"
+    (table,) = re.findall(r"^\| folder \| what is in it \|\n(.*?)\n\n", text, re.MULTILINE | re.DOTALL)
+    listed: set[str] = set()
+    for row in table.splitlines()[1:]:
+        of_row = re.findall(r"`(\w+(?:\.py|/))`", row.split("|")[1])
+        listed |= {name.removesuffix(".py").removesuffix("/") for name in of_row}
+        for path in [path for name in of_row for path in ([gap / name] if name.endswith(".py") else sorted((gap / name).rglob("*.py")))]:
+            imported = re.findall(r"^\s*from palpd\.gap\.(\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+            assert set(imported) <= listed, f"{path.name} imports what stands below its row"
+    assert listed == {path.stem for path in gap.iterdir() if path.suffix == ".py" or path.is_dir()} - {"__init__", "__pycache__"}
