@@ -21,12 +21,13 @@ from palpd.recording.reader import Recording, samples_of
 from palpd.recording.samples import Samples
 
 
-def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Report, dict[str, Any] | None]:
+def morning_check(host: ProgramHost, temperature_C: float | None, here: bool = False) -> tuple[Report, dict[str, Any] | None]:
     """Check the cell, and keep what was measured beside the recording.
 
     Args:
         host: Carries out the runs.
         temperature_C: Of the sensor or the room; None where nobody knows.
+        here: The operator's word that the arm stands where a check begins, whatever palpation was not finished.
 
     Returns:
         The report of the last run, and the figures of the check; None where a run was stopped.
@@ -38,7 +39,8 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
     config, state = host.config, State(host.config.paths.state)
     runs: list[tuple[Kind, Plan]] = [("palpation", check_plan(config))]
     if config.check.plate:
-        _refuse_elsewhere(state)
+        if not here:
+            _refuse_elsewhere(state)
         runs.insert(0, ("stiffness", Plan()))
     kept = kept_checks(config.paths.runs)  # what is damaged is said before a motion
     before = state.last_check()
@@ -46,7 +48,7 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
     recordings: list[Path] = []
     for kind, plan in runs:
         try:
-            report = host.carry_out(kind, plan)
+            report = host.carry_out(kind, plan, here=here)
         except PalpdError as error:
             if not recordings and error.exit_code == 2:  # nothing was moved
                 state.put_back("check", before)

@@ -15,6 +15,7 @@ from palpd.control.plan_place import PlanPlace
 from palpd.daemon import morning_check as program
 from palpd.daemon.display import NoDisplay
 from palpd.daemon.finding import Finding
+from palpd.daemon.interrupts import Interrupted
 from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.programs import PROGRAMS, CheckArguments
@@ -44,7 +45,7 @@ class SimulatedHost:
     display: NoDisplay = field(default_factory=NoDisplay)
     runs: int = 0
 
-    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False, here: bool = False) -> Report:
         self.runs += 1
         content: dict[str, Any] = {"effects": self.effects}
         if kind == "stiffness":
@@ -188,7 +189,7 @@ def test_a_check_clears_no_latch(config: Config) -> None:
 class StoppedHost(SimulatedHost):
     """A cell without a puck."""
 
-    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False, here: bool = False) -> Report:
         if kind == "stiffness":
             return super().carry_out(kind, plan)
         return Report("stopped", "no contact of 1 N was met", 3)
@@ -208,7 +209,7 @@ def test_a_check_whose_program_died_counts_as_none(config: Config, monkeypatch: 
     state = State(config.paths.state)
     state.keep("check", LastCheck(now(), "ok", "Nothing has changed."))
 
-    def died(*_: object) -> Report:
+    def died(*_: object, **__: object) -> Report:
         raise MemoryError
 
     monkeypatch.setattr(SimulatedHost, "carry_out", died)
@@ -228,7 +229,7 @@ def test_a_check_that_was_refused_before_it_moved_leaves_the_one_before(
     if before is not None:
         state.keep("check", before)
 
-    def refused(*_: object) -> Report:
+    def refused(*_: object, **__: object) -> Report:
         raise why
 
     monkeypatch.setattr(SimulatedHost, "carry_out", refused)
@@ -237,7 +238,13 @@ def test_a_check_that_was_refused_before_it_moved_leaves_the_one_before(
     assert state.last_check() == before
 
 
-def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_operator_says_so(config: Config) -> None:
+def interrupted(*_: object, **__: object) -> Report:
+    raise Interrupted("interrupted by SIGINT while the devices were being opened")
+
+
+def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_operator_says_so(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
     State(config.paths.state).keep("place", PlanPlace("2026-11-22", "a-run", (0.0, 0.0), (0.0, 0.0, 0.1), 0.1, (("A", 0.03, 0.0),)))
     host = SimulatedHost(config)
     with pytest.raises(Refused, match=r"the run a-run of 2026-11-22 was not finished.*with --here"):
@@ -249,5 +256,10 @@ def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_
         PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
     assert (host.runs, State(config.paths.state).place()) == (0, last), "the word counted for a check that was refused"
     (config.paths.state / "check.json").unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr(SimulatedHost, "carry_out", interrupted)
+        with pytest.raises(Interrupted):
+            PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
+    assert State(config.paths.state).place() == last, "the word counted for a check that Ctrl-C has ended before it moved"
     end = PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
     assert (end.verdict, end.figures["level"]) == ("done", "ok")
