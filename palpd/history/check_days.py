@@ -63,13 +63,18 @@ _FILE = TypeAdapter(MorningCheck)
 
 
 def kept_checks(folder: Path) -> list[tuple[Path, MorningCheck]]:
-    """All checks in a folder of runs with their recordings, oldest first.
+    """All checks in a folder of runs with their recordings, oldest first; of copies that one with a baseline, or nearest to the top.
 
     Raises:
         BadInput: A file is damaged, or the folder cannot be read.
     """
     checks = [(path.with_name(path.name.removesuffix(CHECK) + RECORDING), check_of(path)) for path in stored_beside(folder, CHECK)]
-    return sorted(checks, key=lambda each: (each[1].number, datetime.fromisoformat(each[1].day.date).timestamp()))
+
+    def order(kept: tuple[Path, MorningCheck]) -> tuple[int, float, bool, int]:
+        path, check = kept
+        return check.number, datetime.fromisoformat(check.day.date).timestamp(), check.baseline is not None, -len(path.parts)
+
+    return list({(check.number, check.day.date): (path, check) for path, check in sorted(checks, key=order)}.values())
 
 
 def check_of(path: Path) -> MorningCheck:
