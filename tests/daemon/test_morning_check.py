@@ -94,7 +94,7 @@ def test_a_check_measures_what_the_cell_has_and_a_second_one_finds_the_change(co
     # what was on purpose begins a new baseline, and is well then
     renewed = program.renewed_baseline(config, " new mount ")
     assert (renewed["level"], renewed["baseline"]["note"], renewed["recording"]) == ("ok", "new mount", second["recording"])
-    assert State(config.paths.state).last_check() == LastCheck(second["date"], "ok", "Nothing has changed.")
+    assert State(config.paths.state).last_check() == LastCheck(second["date"], "ok", "Nothing has changed.", 2)
     assert len(since_baseline(kept_checks(config.paths.runs))) == 1
     with pytest.raises(BadInput, match="the note of a new baseline is empty"):
         program.renewed_baseline(config, " ")
@@ -137,6 +137,24 @@ def test_another_number_of_the_configuration_is_said_and_is_no_change_of_the_puc
     _, third = program.morning_check(SimulatedHost(softer, {"sensor.gain": {"error": 0.08}}), None)
     assert third is not None
     assert (third["causes"], third["note"]) == (["puck"], "")
+
+
+def test_checks_that_are_gone_are_said_and_those_that_come_back_are_earlier(config: Config, tmp_path: Path) -> None:
+    """With paths.runs on a new disk a scale that was off by 8 % became the commissioning: "ok: nothing has changed"."""
+    bare = config.model_copy(update={"check": CheckConfig()})
+    program.morning_check(SimulatedHost(bare), None)
+    moved = bare.with_runs(tmp_path / "new-disk")
+    _, second = program.morning_check(SimulatedHost(moved, {"sensor.gain": {"error": 0.08}}), None)
+    assert second is not None
+    assert (second["level"], second["causes"]) == ("ok", [])
+    assert f"Checks before number 2 of {second['date'][:10]} are no longer in {tmp_path / 'new-disk'}" in second["note"]
+    for path in bare.paths.runs.glob("*.check.json"):
+        path.rename(moved.paths.runs / f"back-{path.name}")
+    assert [check.number for _, check in kept_checks(moved.paths.runs)] == [1, 2]
+    _, third = program.morning_check(SimulatedHost(moved, {"sensor.gain": {"error": 0.08}}), None)
+    assert third is not None
+    assert (third["causes"], third["note"]) == (["puck"], "")
+    assert program.renewed_baseline(moved, "another puck")["note"] == ""
 
 
 def test_a_new_baseline_needs_a_check(config: Config) -> None:
