@@ -195,7 +195,7 @@ class MachineConfig(StrictBlock):
     """How far sensor and arm give way under load (null: the last `palpd stiffness`, or rigid and said so)."""
 
     stiffness_N_per_m: StrictFloat | None = Field(default=None, gt=0)
-    """Stiffness of sensor and arm in series; null: the last `palpd stiffness`, without one rigid."""
+    """Stiffness of sensor and arm in series, at least 10000 for a palpation; null: the last `palpd stiffness`, without one rigid."""
 
 
 class PathsConfig(StrictBlock):
