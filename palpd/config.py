@@ -195,7 +195,7 @@ class MachineConfig(StrictBlock):
     """How far sensor and arm give way under load (null: the last `palpd stiffness`, or rigid and said so)."""
 
     stiffness_N_per_m: StrictFloat | None = Field(default=None, gt=0)
-    """Stiffness of sensor and arm in series; null: the last `palpd stiffness`, without one rigid."""
+    """Stiffness of sensor and arm in series, at least 10000 for a palpation; null: the last `palpd stiffness`, without one rigid."""
 
 
 class PathsConfig(StrictBlock):
@@ -228,6 +228,9 @@ def _possible_depth(depth_m: float) -> float:
 
 Depth = Annotated[StrictFloat, AfterValidator(_possible_depth), Field(json_schema_extra={"minimum": SHALLOWEST_M, "maximum": DEEPEST_M})]
 
+Offset = Annotated[StrictFloat, Field(ge=-0.5, le=0.5)]
+"""Way of a site from where its plan counts, along an axis of the base."""
+
 
 class CheckTolerances(StrictBlock):
     """What a figure of `palpd check` may change by. Of some the charts name less, where healthy days scatter less."""
@@ -259,7 +262,7 @@ class CheckConfig(StrictBlock):
     """A palpation needs a check that is at most this old, after which one may palpate; null: none is needed."""
     plate: StrictBool = False
     """Whether a rigid plate lies below where the arm begins: it shows play and the stiffness of the machine."""
-    puck_m: tuple[StrictFloat, StrictFloat] = (0.0, 0.0)
+    puck_m: tuple[Offset, Offset] = (0.0, 0.0)
     """Way from where the arm begins to the elastic puck, along the base's x and y."""
     depth_m: Depth = 0.006
     """Depth of the presses of the puck; the force must stay below 0.9 of the contact limit."""
@@ -364,9 +367,9 @@ class PlanSite(StrictBlock):
 
     name: str = Field(min_length=1, max_length=32, pattern=NAME_PATTERN)
     """Letters, digits, `_`, `.` and `-`."""
-    x_m: StrictFloat = Field(default=0.0, ge=-0.5, le=0.5)
+    x_m: Offset = 0.0
     """Offset along the base's x axis."""
-    y_m: StrictFloat = Field(default=0.0, ge=-0.5, le=0.5)
+    y_m: Offset = 0.0
     """Offset along the base's y axis."""
 
 

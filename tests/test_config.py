@@ -38,6 +38,7 @@ def test_the_shipped_files_load_and_agree_with_the_defaults() -> None:
         ("safety: {contact_limit_mN: 12}", ["safety.contact_limit_mN", "contact_limit_N"]),
         ("safty: {}", ["safty", "safety"]),
         ("robot: {watchdog_Hz: abc}", ["robot.watchdog_Hz", "number"]),
+        ("check: {puck_m: [30.0, 0.0]}", ["check.puck_m.0 is 30.0", "less than or equal to 0.5"]),
         ("robot: {rtde_rate_Hz: 130}", ["130"]),
         ("robot: {model: ur5, rtde_rate_Hz: 500}", ["500", "ur5"]),
         ("robot: {watchdog_Hz: 80}", ["watchdog_Hz", "80"]),

@@ -139,7 +139,7 @@ def status_lines(answer: "ControlAnswer") -> list[str]:
     if active:
         lines += [job_line(active), *proposal_lines(active["proposal"])]
     lines += cause_lines(answer.get("protective", []))
-    lines += probe_lines(answer.get("probe"), answer.get("place"))
+    lines += probe_lines(None if "job" in answer else answer.get("probe"), answer.get("place"))
     cell, last = answer.get("cell"), answer.get("last")
     if cell:
         verdict = "ready" if cell["ready"] else f"not ready: {cell['reason']}"

@@ -227,9 +227,7 @@ def resolve(
     from palpd.config import load_config, load_plan
     from palpd.daemon import resolve as loop
     from palpd.daemon.job_client import service_at
-    from palpd.daemon.programs import counted_from_here
     from palpd.daemon.session import ForegroundHost, kept_in
-    from palpd.daemon.stored_state import State
     from palpd.daemon.wiring import devices
     from palpd.gap.commands import library
     from palpd.gap.notes import adopted_sentence
@@ -254,9 +252,8 @@ def resolve(
     nominal = load_cell(cell, known) if cell else settings.cell.assumed_at_site(first_plan.sites[0].name)
     host = ForegroundHost(settings, devices, display(), agree)
     host.display.say(f"This makes at most {rounds} run{'s' * (rounds != 1)}.")
-    setting = loop.Setting(host, nominal, kept, known, max_depth_m, take_reference)
-    with counted_from_here(State(settings.paths.state), here):
-        result = loop.resolve(setting, first_plan, recordings or (), rounds)
+    setting = loop.Setting(host, nominal, kept, known, max_depth_m, take_reference, here)
+    result = loop.resolve(setting, first_plan, recordings or (), rounds)
     terminal().print(f"Everything is kept in {kept}; the page is gap.html.")
     write_json(json_file, result)
     finish(3 if result["verdict"] == "stopped" else 0, result["reason"])

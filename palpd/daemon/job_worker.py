@@ -64,6 +64,7 @@ class RunRequest:
     recording: Path | None
     take_reference: bool
     watch_s: float = 0.0
+    here: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +175,7 @@ def _message_of(values: dict[str, Any]) -> Message:
         path = values["recording"]
         plan = parse_plan(values["plan"], "the plan of the job")
         recording, watch_s = Path(path) if path is not None else None, float(values["watch_s"])
-        return RunRequest(values["kind"], plan, recording, bool(values["take_reference"]), watch_s)
+        return RunRequest(values["kind"], plan, recording, bool(values["take_reference"]), watch_s, bool(values["here"]))
     if kind == "consent":
         return ConsentRequest(values["motion"])
     if kind == "words":
@@ -225,9 +226,9 @@ class _WorkerHost:
     lines: _Lines
     operator: str
 
-    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False, here: bool = False) -> Report:
         """Ask the service for the run, and wait for its report."""
-        return self._asked(kind, plan, str(recording) if recording is not None else None, take_reference)
+        return self._asked(kind, plan, str(recording) if recording is not None else None, take_reference, here=here)
 
     def observe(self, watch_s: float) -> tuple[Finding, ...]:
         """Ask the service to read the devices."""
@@ -236,9 +237,17 @@ class _WorkerHost:
             raise Stopped(report.reason)
         return report.findings
 
-    def _asked(self, kind: Kind, plan: Plan, recording: str | None = None, take_reference: bool = False, watch_s: float = 0.0) -> Report:
+    def _asked(
+        self,
+        kind: Kind,
+        plan: Plan,
+        recording: str | None = None,
+        take_reference: bool = False,
+        watch_s: float = 0.0,
+        here: bool = False,
+    ) -> Report:
         values = plan.model_dump(mode="json")
-        self.lines.send("run", kind=kind, plan=values, recording=recording, take_reference=take_reference, watch_s=watch_s)
+        self.lines.send("run", kind=kind, plan=values, recording=recording, take_reference=take_reference, watch_s=watch_s, here=here)
         report: Report = pickle.load(sys.stdin.buffer)
         if report.exit_code == 2:
             raise Refused(report.reason)

@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 
 from palpd.control.plan_place import PlanPlace, question
-from palpd.control.probe_state import ProbeAnswer, ProbeState
+from palpd.control.probe_state import ContactMarker, ProbeAnswer, ProbeState
 from palpd.daemon.robot_stops import ControllerSeen, ProtectiveStops
 from palpd.daemon.socket_client import KnownPlace, KnownProbe, KnownProtectiveStop
 from palpd.daemon.stored_state import Latch, State, now
@@ -30,6 +30,7 @@ class KnownCell:
         self.last: Report | None = None
         self.pose: tuple[float, ...] = ()
         self._probe: tuple[ProbeAnswer, str] | None = None
+        self._marker: ContactMarker | None = None  # as it was then
         self._unkept: Latch | None = None
 
     def note(self, report: Report, newest: np.void | None) -> None:
@@ -42,7 +43,7 @@ class KnownCell:
         if newest is not None:
             self.pose = tuple(map(float, newest["tcp_pose"]))
         if report.probe is not None:
-            self._probe = report.probe, now()
+            self._probe, self._marker = (report.probe, now()), _kept(self._state.marker)
 
     def hold(self, reason: str) -> None:
         """Latch a stop whose latch could not be written: it holds until it is cleared, or this process ends."""
@@ -87,13 +88,16 @@ class KnownCell:
 
     @property
     def probe(self) -> tuple[ProbeAnswer, str] | None:
-        """The last answer about the probe with its date; what the state folder says, where this service has not looked yet."""
-        if self._probe is not None:
-            return self._probe
+        """The last answer about the probe with its date.
+
+        What the state folder says counts where this service has not looked yet, or where a run has begun or freed the probe since.
+        """
         try:
             marker = self._state.marker()
         except ConfigError as error:
             return ProbeAnswer(ProbeState.UNKNOWN, (str(error),), frozenset()), now()
+        if self._probe is not None and marker == self._marker:
+            return self._probe
         if marker is None:
             return None
         return ProbeAnswer(ProbeState.UNKNOWN, (f"the {marker.run} of {marker.date} is unfinished",), frozenset(("retract",))), marker.date

@@ -14,19 +14,20 @@ from palpd.daemon.required_check import PUCK, check_plan
 from palpd.daemon.stored_state import LastCheck, State, now
 from palpd.daemon.supervisor import Report
 from palpd.errors import BadInput, PalpdError, Refused
-from palpd.history.check_days import Baseline, MorningCheck, judge_today, keep_check, kept_checks
+from palpd.history.check_days import Baseline, MorningCheck, gone, judge_today, keep_check, kept_checks, since_baseline
 from palpd.history.check_features import features_of
 from palpd.history.control_charts import WATCHED, CheckedDay, judged
 from palpd.recording.reader import Recording, samples_of
 from palpd.recording.samples import Samples
 
 
-def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Report, dict[str, Any] | None]:
+def morning_check(host: ProgramHost, temperature_C: float | None, here: bool = False) -> tuple[Report, dict[str, Any] | None]:
     """Check the cell, and keep what was measured beside the recording.
 
     Args:
         host: Carries out the runs.
         temperature_C: Of the sensor or the room; None where nobody knows.
+        here: The operator's word that the arm stands where a check begins, whatever palpation was not finished.
 
     Returns:
         The report of the last run, and the figures of the check; None where a run was stopped.
@@ -38,21 +39,23 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
     config, state = host.config, State(host.config.paths.state)
     runs: list[tuple[Kind, Plan]] = [("palpation", check_plan(config))]
     if config.check.plate:
-        _refuse_elsewhere(state)
+        if not here:
+            _refuse_elsewhere(state)
         runs.insert(0, ("stiffness", Plan()))
     kept = kept_checks(config.paths.runs)  # what is damaged is said before a motion
     before = state.last_check()
-    state.keep("check", LastCheck(now(), "open", "It did not come to its end."))  # what a death of this program leaves behind
+    last = before.number if before is not None else 0
+    state.keep("check", LastCheck(now(), "open", "It did not come to its end.", last))  # what a death of this program leaves behind
     recordings: list[Path] = []
     for kind, plan in runs:
         try:
-            report = host.carry_out(kind, plan)
+            report = host.carry_out(kind, plan, here=here)
         except PalpdError as error:
             if not recordings and error.exit_code == 2:  # nothing was moved
                 state.put_back("check", before)
             raise
         if report.exit_code or report.recording is None:
-            _keep_unfinished(state, report.reason)
+            _keep_unfinished(state, report.reason, last)
             return report, None
         recordings.append(report.recording)
     *plates, puck = recordings
@@ -60,12 +63,14 @@ def morning_check(host: ProgramHost, temperature_C: float | None) -> tuple[Repor
     try:
         features = features_of(Recording.load(puck), Recording.load(plate) if plate is not None else None)
     except PalpdError as error:
-        _keep_unfinished(state, str(error))
+        _keep_unfinished(state, str(error), last)
         raise
     day = CheckedDay(now(), features, temperature_C)
     verdict, healthy, note = judge_today(kept, day, config.check.tolerances)
     number = 1 + max((earlier.number for _, earlier in kept), default=0)
-    check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note, number=number)
+    check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note, number=max(number, 1 + last))
+    first = since_baseline([*kept, (puck, check)])[0][1]
+    check = replace(check, note=f"{note} {gone(first, config.paths.runs)}".strip())
     keep_check(puck, check)
     _keep_last(state, check)
     if verdict.changes and healthy:
@@ -155,14 +160,14 @@ def _refuse_elsewhere(state: State) -> None:
         )
 
 
-def _keep_unfinished(state: State, reason: str) -> None:
+def _keep_unfinished(state: State, reason: str, last: int) -> None:
     """A check that was stopped counts as no check, whatever the one before it gave."""
-    state.keep("check", LastCheck(now(), "stop", f"It did not come to its end: {reason}."))
+    state.keep("check", LastCheck(now(), "stop", f"It did not come to its end: {reason}.", last))
 
 
 def _keep_last(state: State, check: MorningCheck) -> None:
     """Keep what a palpation asks for."""
-    state.keep("check", LastCheck(check.day.date, check.verdict.level, check.verdict.sentence))
+    state.keep("check", LastCheck(check.day.date, check.verdict.level, check.verdict.sentence, check.number))
 
 
 def _samples(recording: Path) -> Samples:

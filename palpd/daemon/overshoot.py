@@ -4,6 +4,7 @@ import math
 from typing import TypedDict
 
 from palpd.config import Config, Plan, filter_delay_s, refuse_unsafe
+from palpd.daemon.stored_state import SOFTEST_N_PER_M
 from palpd.errors import ConfigError
 
 LINK_S = 0.001
@@ -96,9 +97,20 @@ def refuse_overload(config: Config, plan: Plan) -> None:
 
 
 def refuse_together(config: Config, plan: Plan) -> None:
-    """Refuse limits and a plan that do not fit each other. Raises ConfigError."""
+    """Refuse limits and a plan that do not fit each other.
+
+    Raises:
+        ConfigError: They do not fit, or the stated machine is too soft to be one.
+    """
     refuse_unsafe(config, plan)
     refuse_overload(config, plan)
+    stated_N_per_m = config.machine.stiffness_N_per_m
+    if stated_N_per_m is not None and stated_N_per_m < SOFTEST_N_PER_M:
+        raise ConfigError(
+            f"machine.stiffness_N_per_m is {stated_N_per_m:g}, that is {stated_N_per_m / 1e3:.3g} N for 1 mm, expected at least "
+            f"{SOFTEST_N_PER_M / 1e3:g} N of a machine on a rigid plate; write it in N/m (48 N for 1 mm is 48000), or null for what "
+            "palpd stiffness has measured"
+        )
 
 
 def predicted(config: Config, plan: Plan) -> OvershootForecast:

@@ -54,7 +54,7 @@ class ProgramHost(Protocol):
         """Takes sentences and the name of a long calculation."""
         ...
 
-    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False, here: bool = False) -> Report:
         """Carry out one run, from opening the devices to the closed recording.
 
         Args:
@@ -62,6 +62,7 @@ class ProgramHost(Protocol):
             plan: The plan of a palpation; other kinds ignore it.
             recording: File to record to; by default one in `paths.runs`, called by time and kind.
             take_reference: Whether the run takes its own reference tare.
+            here: The operator's word that sites count from where the arm stands, whatever palpation was not finished.
 
         Returns:
             How the run ended.

@@ -3,8 +3,7 @@
 The service reads this file, so each program imports what it computes with only when it runs.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,9 +13,8 @@ from pydantic import Field, StrictBool, StrictFloat, StrictInt, ValidationError
 from palpd.cell.effects.drivers import StrictBlock
 from palpd.config import Plan, parse_plan
 from palpd.daemon.program_host import ProgramHost
-from palpd.daemon.stored_state import State
 from palpd.documents import Document, nearest, refusal
-from palpd.errors import BadInput, ConfigError, PalpdError
+from palpd.errors import BadInput, PalpdError
 
 Length = Annotated[StrictFloat, Field(ge=0.005, le=0.5)]
 Depth = Annotated[StrictFloat, Field(ge=0.0002, le=0.02)]
@@ -166,32 +164,6 @@ def _stiffness(host: ProgramHost, _arguments: StiffnessArguments, _: Path) -> Pr
     return ProgramEnd("done", figures=figures)
 
 
-@contextmanager
-def counted_from_here(state: State, here: bool) -> Iterator[None]:
-    """Where the operator says so, count places from where the arm stands within the context, whatever run was not finished.
-
-    The word counts for this program: where that is refused before its first run, the next start is asked again.
-
-    Args:
-        state: The state folder.
-        here: Whether the operator says so.
-
-    Yields:
-        Nothing.
-    """
-    before = None
-    if here:
-        with suppress(ConfigError):  # one that cannot be read is forgotten
-            before = state.place()
-        state.forget("place")
-    try:
-        yield
-    except PalpdError:
-        if before is not None and not state.holds("place"):
-            state.keep("place", before)
-        raise
-
-
 def _map(host: ProgramHost, arguments: MapArguments, picture: Path) -> ProgramEnd:
     from palpd.analysis.stiffness_map import Field as MapField
     from palpd.analysis.stiffness_map import draw
@@ -199,8 +171,7 @@ def _map(host: ProgramHost, arguments: MapArguments, picture: Path) -> ProgramEn
 
     values = arguments.model_dump(exclude={"most_presses", "here"})
     where = MapField(**values)
-    with counted_from_here(State(host.config.paths.state), arguments.here):
-        mapped = surveyed(on_the_robot(where, host), where, picture, host.display, arguments.most_presses)
+    mapped = surveyed(on_the_robot(where, host, arguments.here), where, picture, host.display, arguments.most_presses)
     draw(mapped.survey, mapped.survey.map(), picture)
     figures = figures_of(mapped)
     return ProgramEnd(figures["verdict"], mapped.stop_reason, 3 if mapped.stop_reason else 0, {**figures, "picture": str(picture)})
@@ -219,9 +190,8 @@ def _resolve(host: ProgramHost, arguments: ResolveArguments, folder: Path) -> Pr
     else:
         cell = host.config.cell.assumed_at_site(plan.sites[0].name)
     folder.mkdir(parents=True, exist_ok=True)
-    setting = resolve.Setting(host, cell, folder, known, arguments.max_depth_m, arguments.take_reference)
-    with counted_from_here(State(host.config.paths.state), arguments.here):
-        resolution = resolve.resolve(setting, plan, [Path(path) for path in arguments.recordings], arguments.rounds)
+    setting = resolve.Setting(host, cell, folder, known, arguments.max_depth_m, arguments.take_reference, arguments.here)
+    resolution = resolve.resolve(setting, plan, [Path(path) for path in arguments.recordings], arguments.rounds)
     return ProgramEnd(resolution["verdict"], resolution["reason"], 3 if resolution["verdict"] == "stopped" else 0, {**resolution})
 
 
@@ -240,8 +210,7 @@ def _doctor(host: ProgramHost, arguments: DoctorArguments, _: Path) -> ProgramEn
 def _check(host: ProgramHost, arguments: CheckArguments, _: Path) -> ProgramEnd:
     from palpd.daemon.morning_check import morning_check
 
-    with counted_from_here(State(host.config.paths.state), arguments.here):
-        report, figures = morning_check(host, arguments.temperature_C)
+    report, figures = morning_check(host, arguments.temperature_C, arguments.here)
     if figures is None:
         return ProgramEnd(report.verdict, report.reason, report.exit_code or 3, {"last_ticks": list(report.last_ticks)})
     return ProgramEnd("done", figures=figures)

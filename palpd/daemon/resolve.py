@@ -73,7 +73,10 @@ class Resolution(TypedDict):
 
 @dataclass
 class Setting:
-    """Everything that the rounds share: the host that carries out runs, the nominal cell, the folder, and the known effects."""
+    """Everything that the rounds share: the host that carries out runs, the nominal cell, the folder, and the known effects.
+
+    `here` is the operator's word that the site counts from where the arm stands, whatever palpation was not finished.
+    """
 
     host: ProgramHost
     cell: CellFile
@@ -81,6 +84,7 @@ class Setting:
     library: Mapping[str, Effect]
     max_depth_m: float | None = None
     take_reference: bool = False
+    here: bool = False
 
 
 @dataclass(frozen=True)
@@ -199,7 +203,8 @@ def _plan_of(advice: Advice, site: PlanSite) -> Plan:
 
 def _record(setting: Setting, plan: Plan, number: int) -> tuple[str, Samples | None]:
     """Carry out a plan with the daemon and export its site. Returns the reason where the run was stopped, and the samples."""
-    report = setting.host.carry_out("palpation", plan, setting.folder / f"round-{number}.mcap", setting.take_reference)
+    recording = setting.folder / f"round-{number}.mcap"
+    report = setting.host.carry_out("palpation", plan, recording, setting.take_reference, setting.here)
     if report.exit_code or report.recording is None:
         return report.reason or "nothing was recorded", None
     return "", export(Recording.load(report.recording), setting.folder / f"round-{number}.csv", plan.sites[0].name)

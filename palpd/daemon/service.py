@@ -314,7 +314,9 @@ class Service:
             if latch is not None and asked.kind not in STILL_KINDS:
                 raise Refused(f"a run was stopped on {latch.date}: {latch.reason}; nothing more was moved")
             config = self._config.with_runs(asked.recording.parent) if asked.recording is not None else self._config
-            work = replace(checked_job(asked.kind, config, asked.plan, take_reference=asked.take_reference), watch_s=asked.watch_s)
+            choice: Choice | None = "here" if asked.here else None
+            work = checked_job(asked.kind, config, asked.plan, take_reference=asked.take_reference, choice=choice)
+            work = replace(work, watch_s=asked.watch_s)
             self._jobs.note_run()
             self._begin_run(work, asked.recording.stem if asked.recording is not None else recording_name(asked.kind))
         except PalpdError as error:

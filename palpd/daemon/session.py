@@ -193,7 +193,7 @@ class ForegroundHost:
         """Whoever sits at the terminal."""
         return getuser()
 
-    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False, here: bool = False) -> Report:
         """Carry out one run; `ProgramHost` says more.
 
         Args:
@@ -201,12 +201,13 @@ class ForegroundHost:
             plan: The plan of a palpation.
             recording: File to record to; None: a name by time and kind.
             take_reference: Whether the run takes its own reference tare.
+            here: The operator's word that sites count from where the arm stands.
 
         Returns:
             How the run ended.
         """
         config = self.config.with_runs(recording.parent) if recording is not None else self.config
-        work = job(kind, config, plan, take_reference=take_reference)
+        work = job(kind, config, plan, take_reference=take_reference, choice="here" if here else None)
         return carry_out(work, self.build, self.display, recording.stem if recording is not None else None)
 
     def observe(self, watch_s: float) -> tuple[Finding, ...]:

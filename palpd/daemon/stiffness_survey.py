@@ -138,11 +138,12 @@ def plan_at(place_m: Place, where: Field) -> Plan:
     )
 
 
-def on_the_robot(where: Field, host: ProgramHost) -> Press:
+def on_the_robot(where: Field, host: ProgramHost, here: bool = False) -> Press:
     """Presses by the daemon on a cell or on emulated wires.
 
     Args:
         host: Carries out each press. Its display shows what makes a modulus doubtful, each kind of note once.
+        here: The operator's word that the field's corner is where the arm stands, whatever palpation was not finished.
 
     Returns:
         The function that presses one place and returns its modulus in Pa.
@@ -157,7 +158,7 @@ def on_the_robot(where: Field, host: ProgramHost) -> Press:
         nonlocal count
         count += 1
         recording = host.config.paths.runs / f"{began:%Y%m%d-%H%M%S}-map-{count:03d}.mcap"
-        report = host.carry_out("palpation", plan_at(place_m, where), recording)
+        report = host.carry_out("palpation", plan_at(place_m, where), recording, here=here)
         if report.exit_code:
             raise Stopped(f"the press at {_millimetres(place_m)} was stopped: {report.reason}")
         result = run_result(report)

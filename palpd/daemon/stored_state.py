@@ -90,11 +90,15 @@ def _dated(date: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LastCheck:
-    """How the last morning check ended: its date, its level (`ok`, `warn`, `stop`; `open` until it has ended), and its sentence."""
+    """How the last morning check ended: its date, its level (`ok`, `warn`, `stop`; `open` until it has ended), and its sentence.
+
+    `number` is that of the last check that was kept in a folder of runs, also where that folder is another one by now; 0: not known.
+    """
 
     date: Annotated[str, AfterValidator(_dated)]
     level: Literal["ok", "warn", "stop", "open"]
     sentence: str
+    number: int = 0
 
 
 Stored = Calibration | MachineStiffness | LastCheck | Latch | ContactMarker | LevelTested | PlanPlace | ProtectiveStops | Commission

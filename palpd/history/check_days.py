@@ -41,7 +41,7 @@ class MorningCheck:
         plate: File name of the recording of the plate; None where there is none.
         baseline: Where this check is the first of a new baseline, who wants it so.
         diagnosis: What `palpd diagnose --healthy` said of the puck's recording, as its out.json; None where nothing had changed.
-        note: How the configuration computes the puck's modulus otherwise than at the check before; empty where it does not.
+        note: How the configuration computes the puck's modulus otherwise than at the check before, and that checks are gone; or empty.
         number: Its place in the order of the checks, whatever the clock said; 0 in those of older versions, whose dates order them.
     """
 
@@ -63,13 +63,18 @@ _FILE = TypeAdapter(MorningCheck)
 
 
 def kept_checks(folder: Path) -> list[tuple[Path, MorningCheck]]:
-    """All checks in a folder of runs with their recordings, oldest first.
+    """All checks in a folder of runs with their recordings, oldest first; of copies that one with a baseline, or nearest to the top.
 
     Raises:
         BadInput: A file is damaged, or the folder cannot be read.
     """
     checks = [(path.with_name(path.name.removesuffix(CHECK) + RECORDING), check_of(path)) for path in stored_beside(folder, CHECK)]
-    return sorted(checks, key=lambda each: (each[1].number, datetime.fromisoformat(each[1].day.date).timestamp()))
+
+    def order(kept: tuple[Path, MorningCheck]) -> tuple[int, float, bool, int]:
+        path, check = kept
+        return check.number, datetime.fromisoformat(check.day.date).timestamp(), check.baseline is not None, -len(path.parts)
+
+    return list({(check.number, check.day.date): (path, check) for path, check in sorted(checks, key=order)}.values())
 
 
 def check_of(path: Path) -> MorningCheck:
@@ -95,6 +100,21 @@ def since_baseline(checks: Sequence[tuple[Path, MorningCheck]]) -> list[tuple[Pa
     """The checks that count: from the last baseline on, oldest first."""
     begins = [number for number, (_, check) in enumerate(checks) if check.baseline is not None]
     return list(checks[begins[-1] if begins else 0 :])
+
+
+def gone(first: MorningCheck, folder: Path) -> str:
+    """Say that the commissioning is no longer in the folder, so that charts begin at a day that nobody chose; empty where it is there.
+
+    Args:
+        first: As `since_baseline` gives it.
+        folder: The folder of the runs.
+    """
+    if first.number <= 1 or first.baseline is not None:
+        return ""
+    return (
+        f"Checks before number {first.number} of {first.day.date[:10]} are no longer in {folder}, so the charts begin with it and show "
+        "nothing that had changed before; move their files NAME.check.json back, or begin a new baseline."
+    )
 
 
 def by_numbers_of(day: CheckedDay, today: CheckedDay) -> CheckedDay:

@@ -124,9 +124,9 @@ def keep_injection(recording: Path, injection: Injection) -> Path:
 
 
 def kept_injections(folder: Path) -> list[Injection]:
-    """All opened injections in a folder of runs, oldest first. Raises BadInput where a file is damaged or was altered."""
-    kept = [_read(path) for path in stored_beside(folder, INJECTION)]
-    return sorted(kept, key=lambda each: each.date)
+    """All opened injections in a folder of runs, oldest first, each once. Raises BadInput where a file is damaged or was altered."""
+    kept = {injection.seal: injection for injection in map(_read, stored_beside(folder, INJECTION))}  # a copy has the same seal
+    return sorted(kept.values(), key=lambda each: each.date)
 
 
 def _read(path: Path) -> Injection:

@@ -66,6 +66,9 @@ def recover(part: Path) -> Recovered:
     if not first:
         raise RecordingError(f"{part} holds no whole tick ({contents.torn or 'it ends after the header'}); there is nothing to recover")
     recovering = part.with_suffix(".recovering")
+    with contextlib.suppress(OSError):  # usually there is none; one that nobody writes is of a recovery that was cut off itself
+        if not is_growing(recovering):
+            recovering.unlink()
     try:
         writer = RecordingWriter(path, contents.header, contents.model_bytes, part=recovering)
     except OSError as error:

@@ -150,7 +150,7 @@ class Arm:
 
     config, display, refused_in = Config(), NoDisplay(), 0
 
-    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False, here: bool = False) -> Report:
         self.runs += 1
         if self.runs == self._stopped_in:
             return Report("stopped", "the contact limit was reached", 3)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from palpd.config import Config, parse_config
+from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ProbeEvidence, ProbeIdentity
 from palpd.daemon.job_worker import Finished, RunRequest, Words, WorkerOrder, WorkerProcess
 from palpd.daemon.stored_state import State
@@ -62,6 +63,21 @@ def test_a_program_asks_for_its_run_and_keeps_what_came(begun: Callable[..., Wor
     kept = State(config.paths.state).calibration()
     assert kept is not None
     assert kept.temperature_C == 21.0
+
+
+def test_the_word_here_goes_with_the_run_and_a_job_that_is_killed_before_it_leaves_the_question(
+    begun: Callable[..., WorkerProcess], config: Config
+) -> None:
+    """The program had forgotten the unfinished palpation by then, so the next start elsewhere was not asked."""
+    state = State(config.paths.state)
+    state.keep("place", PlanPlace("2026-11-22", "a-run", (0.0, 0.0), (0.0, 0.0, 0.1), 0.1, (("A", 0.03, 0.0),)))
+    last = state.place()
+    worker = begun("map", here=True)
+    request = heard(worker)
+    worker.kill()
+    assert isinstance(request, RunRequest)
+    assert request.here
+    assert state.place() == last
 
 
 def test_a_refused_run_ends_the_program_with_the_sentence(begun: Callable[..., WorkerProcess]) -> None:

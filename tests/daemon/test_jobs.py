@@ -206,6 +206,13 @@ def test_a_run_that_is_refused_reaches_the_program_as_one(service: Service) -> N
     assert "palpd calibrate" in worker.answers[-1].reason
 
 
+def test_the_word_here_of_a_program_is_the_choice_of_its_runs(service: Service) -> None:
+    _, worker = begun(service)
+    hears(service, worker, RunRequest("palpation", Plan(), None, False, here=True))
+    assert service._run.current is not None
+    assert service._run.current.job.choice == "here"
+
+
 def test_a_run_of_a_job_is_judged_by_the_configuration_of_the_service(service: Service, tmp_path: Path) -> None:
     _, worker = begun(service)
     hears(service, worker, RunRequest("palpation", Plan(press_speed_m_per_s=0.05), tmp_path / "kept" / "round-1.mcap", False))

@@ -13,7 +13,8 @@ from palpd.daemon.finding import Finding
 from palpd.daemon.machine_stiffness import measured_stiffness
 from palpd.daemon.motion_job import explainer_of
 from palpd.daemon.programs import PROGRAMS, StiffnessArguments
-from palpd.daemon.session import measured_job
+from palpd.daemon.session import job, measured_job
+from palpd.daemon.starting_files import checked
 from palpd.daemon.stored_state import Calibration, MachineStiffness, State, now
 from palpd.errors import ConfigError, RecordingError, Refused
 from tests.daemon.test_morning_check import SimulatedHost
@@ -64,6 +65,18 @@ def test_no_palpation_counts_with_a_machine_that_is_too_soft_and_it_can_be_measu
     stated = config.model_copy(update={"machine": MachineConfig(stiffness_N_per_m=2e4)})
     assert measured_job("palpation", stated, Plan()).machine_stiffness_N_per_m == 2e4
     assert examine_machine_stiffness(stated) == []
+
+
+@pytest.mark.parametrize("stated", [48.0, 5000.0])
+def test_nor_does_it_count_with_one_that_the_configuration_states(config: Config, stated: float, tmp_path: Path) -> None:
+    """5 N for 1 mm made 74 kPa of 62.5, "done" and without a note; 48 (typed in N/mm) was blamed on a cable, with the probe in contact."""
+    file = tmp_path / "config.yaml"
+    file.write_text(f"machine: {{stiffness_N_per_m: {stated:g}}}\n")
+    sentence = rf"machine\.stiffness_N_per_m is {stated:g}, that is .* N for 1 mm, expected at least 10 N .* in N/m"
+    with pytest.raises(ConfigError, match=sentence):
+        checked(file, None)
+    with pytest.raises(ConfigError, match=sentence):
+        job("palpation", config.model_copy(update={"machine": MachineConfig(stiffness_N_per_m=stated)}), Plan())
 
 
 def test_the_stiffness_of_another_sensor_does_not_count(config: Config) -> None:

@@ -15,6 +15,7 @@ from palpd.control.plan_place import PlanPlace
 from palpd.daemon import morning_check as program
 from palpd.daemon.display import NoDisplay
 from palpd.daemon.finding import Finding
+from palpd.daemon.interrupts import Interrupted
 from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.programs import PROGRAMS, CheckArguments
@@ -44,7 +45,7 @@ class SimulatedHost:
     display: NoDisplay = field(default_factory=NoDisplay)
     runs: int = 0
 
-    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False, here: bool = False) -> Report:
         self.runs += 1
         content: dict[str, Any] = {"effects": self.effects}
         if kind == "stiffness":
@@ -93,7 +94,7 @@ def test_a_check_measures_what_the_cell_has_and_a_second_one_finds_the_change(co
     # what was on purpose begins a new baseline, and is well then
     renewed = program.renewed_baseline(config, " new mount ")
     assert (renewed["level"], renewed["baseline"]["note"], renewed["recording"]) == ("ok", "new mount", second["recording"])
-    assert State(config.paths.state).last_check() == LastCheck(second["date"], "ok", "Nothing has changed.")
+    assert State(config.paths.state).last_check() == LastCheck(second["date"], "ok", "Nothing has changed.", 2)
     assert len(since_baseline(kept_checks(config.paths.runs))) == 1
     with pytest.raises(BadInput, match="the note of a new baseline is empty"):
         program.renewed_baseline(config, " ")
@@ -136,6 +137,24 @@ def test_another_number_of_the_configuration_is_said_and_is_no_change_of_the_puc
     _, third = program.morning_check(SimulatedHost(softer, {"sensor.gain": {"error": 0.08}}), None)
     assert third is not None
     assert (third["causes"], third["note"]) == (["puck"], "")
+
+
+def test_checks_that_are_gone_are_said_and_those_that_come_back_are_earlier(config: Config, tmp_path: Path) -> None:
+    """With paths.runs on a new disk a scale that was off by 8 % became the commissioning: "ok: nothing has changed"."""
+    bare = config.model_copy(update={"check": CheckConfig()})
+    program.morning_check(SimulatedHost(bare), None)
+    moved = bare.with_runs(tmp_path / "new-disk")
+    _, second = program.morning_check(SimulatedHost(moved, {"sensor.gain": {"error": 0.08}}), None)
+    assert second is not None
+    assert (second["level"], second["causes"]) == ("ok", [])
+    assert f"Checks before number 2 of {second['date'][:10]} are no longer in {tmp_path / 'new-disk'}" in second["note"]
+    for path in bare.paths.runs.glob("*.check.json"):
+        path.rename(moved.paths.runs / f"back-{path.name}")
+    assert [check.number for _, check in kept_checks(moved.paths.runs)] == [1, 2]
+    _, third = program.morning_check(SimulatedHost(moved, {"sensor.gain": {"error": 0.08}}), None)
+    assert third is not None
+    assert (third["causes"], third["note"]) == (["puck"], "")
+    assert program.renewed_baseline(moved, "another puck")["note"] == ""
 
 
 def test_a_new_baseline_needs_a_check(config: Config) -> None:
@@ -188,7 +207,7 @@ def test_a_check_clears_no_latch(config: Config) -> None:
 class StoppedHost(SimulatedHost):
     """A cell without a puck."""
 
-    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False) -> Report:
+    def carry_out(self, kind: Kind, plan: Plan, recording: Path | None = None, take_reference: bool = False, here: bool = False) -> Report:
         if kind == "stiffness":
             return super().carry_out(kind, plan)
         return Report("stopped", "no contact of 1 N was met", 3)
@@ -208,7 +227,7 @@ def test_a_check_whose_program_died_counts_as_none(config: Config, monkeypatch: 
     state = State(config.paths.state)
     state.keep("check", LastCheck(now(), "ok", "Nothing has changed."))
 
-    def died(*_: object) -> Report:
+    def died(*_: object, **__: object) -> Report:
         raise MemoryError
 
     monkeypatch.setattr(SimulatedHost, "carry_out", died)
@@ -228,7 +247,7 @@ def test_a_check_that_was_refused_before_it_moved_leaves_the_one_before(
     if before is not None:
         state.keep("check", before)
 
-    def refused(*_: object) -> Report:
+    def refused(*_: object, **__: object) -> Report:
         raise why
 
     monkeypatch.setattr(SimulatedHost, "carry_out", refused)
@@ -237,7 +256,13 @@ def test_a_check_that_was_refused_before_it_moved_leaves_the_one_before(
     assert state.last_check() == before
 
 
-def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_operator_says_so(config: Config) -> None:
+def interrupted(*_: object, **__: object) -> Report:
+    raise Interrupted("interrupted by SIGINT while the devices were being opened")
+
+
+def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_operator_says_so(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
     State(config.paths.state).keep("place", PlanPlace("2026-11-22", "a-run", (0.0, 0.0), (0.0, 0.0, 0.1), 0.1, (("A", 0.03, 0.0),)))
     host = SimulatedHost(config)
     with pytest.raises(Refused, match=r"the run a-run of 2026-11-22 was not finished.*with --here"):
@@ -249,5 +274,10 @@ def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_
         PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
     assert (host.runs, State(config.paths.state).place()) == (0, last), "the word counted for a check that was refused"
     (config.paths.state / "check.json").unlink()
+    with monkeypatch.context() as patch:
+        patch.setattr(SimulatedHost, "carry_out", interrupted)
+        with pytest.raises(Interrupted):
+            PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
+    assert State(config.paths.state).place() == last, "the word counted for a check that Ctrl-C has ended before it moved"
     end = PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
     assert (end.verdict, end.figures["level"]) == ("done", "ok")

@@ -17,7 +17,7 @@ import pytest
 from hw.emulators.process import Emulated, started
 from palpd.cli.at_once import position
 from palpd.config import Config, Plan, load_config, parse_config
-from palpd.control.probe_state import ProbeAnswer, ProbeState
+from palpd.control.probe_state import ContactMarker, ProbeAnswer, ProbeIdentity, ProbeState
 from palpd.daemon.control_socket import Later
 from palpd.daemon.install import UNITS, installed, unit_python
 from palpd.daemon.motion_job import Job
@@ -378,6 +378,21 @@ def test_an_arm_looks_again_before_it_believes_an_old_answer(service: Service) -
     assert isinstance(later, Later)
     assert later.answer == {"ok": True, "state": "armed"}
     assert status(service)["now"]["next"] == "start"
+
+
+def test_a_look_before_a_run_in_the_foreground_no_longer_says_that_the_probe_is_free(service: Service) -> None:
+    """`palpd run` beside the idle service was aborted in the tissue: "The probe is free, and nothing moves." """
+    service._state.keep("calibration", TARE)
+    service.answer({"do": "check"})
+    end(service, Report("done", probe=ProbeAnswer(ProbeState.FREE)))
+    assert "The probe is free" in status(service)["now"]["sentence"]
+    pose, own = (0.1, 0.2, 0.3, 0.0, 3.1, 0.0), ProbeIdentity("PRE00042", None, None)
+    service._state.keep("contact", ContactMarker("2026-11-28", "20261128-palpation", pose, pose, 0.01, TARE.wrench, own))
+    now = status(service)
+    assert (now["now"]["state"], now["now"]["next"], now["probe"]["state"]) == ("unknown", "retract", "unknown")
+    assert "20261128-palpation of 2026-11-28 is unfinished" in now["now"]["sentence"]
+    service._state.forget("contact")
+    assert status(service)["probe"]["state"] == "free"
 
 
 def test_a_check_looks_at_the_devices_and_arms_nothing(service: Service) -> None:

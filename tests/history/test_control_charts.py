@@ -9,7 +9,7 @@ import pytest
 
 from palpd.config import CheckTolerances
 from palpd.errors import BadInput
-from palpd.history.check_days import MorningCheck, keep_check, kept_checks
+from palpd.history.check_days import Baseline, MorningCheck, judge_today, keep_check, kept_checks, since_baseline
 from palpd.history.check_features import DayFeatures
 from palpd.history.control_charts import FEWEST_DAYS, CheckedDay, DayVerdict, judged
 
@@ -133,3 +133,20 @@ def test_kept_checks_are_in_the_order_of_time_where_the_clocks_go_back(tmp_path:
     keep_check(tmp_path / "odd.mcap", MorningCheck(CheckedDay("a Monday", TYPICAL), DayVerdict("ok", (), ())))
     with pytest.raises(BadInput, match=r"odd\.check\.json holds no check"):
         kept_checks(tmp_path)
+
+
+def test_a_copy_of_a_check_counts_once_and_the_baseline_of_either_counts(tmp_path: Path) -> None:
+    """With a copy of the runs below them, eight healthy days counted as sixteen, and the ninth was a warning."""
+    (tmp_path / "backup").mkdir()
+    days = healthy(9, seed=4)
+    for number, day in enumerate(days[:8], start=1):
+        check = MorningCheck(replace(day, date=f"2026-11-{number:02d}T08:00:00+01:00"), DayVerdict("ok", (), ()), number=number)
+        for folder in (tmp_path, tmp_path / "backup"):
+            keep_check(folder / f"{number}.mcap", check)
+    kept = kept_checks(tmp_path)
+    assert [path for path, _ in kept] == [tmp_path / f"{number}.mcap" for number in range(1, 9)]
+    verdict, _, _ = judge_today(kept, changed(days[8], zero_N=0.3), CheckTolerances())
+    assert verdict.level == "ok"
+    renewed = replace(kept[3][1], baseline=Baseline("2026-11-04", "new mount"))
+    keep_check(tmp_path / "backup" / "4.mcap", renewed)
+    assert len(since_baseline(kept_checks(tmp_path))) == 5

@@ -109,11 +109,14 @@ def test_the_report_counts_what_was_judged_and_puts_the_stated_probability_besid
         f"Judged: 0 of the {ENOUGH} runs that limits and probabilities of this cell need."
     ]
     kept = [
-        of(NOTHING, "none", p=0.9, date="2026-11-24"), of(NOTHING, "unknown", p=0.7, date="2026-11-23"),
-        of(BIAS, "effects", "sensor.bias", p=0.8, date="2026-11-22"), replace(of(BIAS, date="2026-11-21"), reason="the run was stopped"),
+        of(NOTHING, "none", p=0.9, date="2026-11-24"), of(replace(NOTHING, salt="b"), "unknown", p=0.7, date="2026-11-23"),
+        of(BIAS, "effects", "sensor.bias", p=0.8, date="2026-11-22"),
+        replace(of(replace(BIAS, salt="d"), date="2026-11-21"), reason="the run was stopped"),
     ]  # fmt: skip
+    (tmp_path / "backup").mkdir()  # a copy is no further evidence
     for number, each in enumerate(kept):
-        keep_injection(tmp_path / f"{number}-injection.mcap", each)
+        for folder in (tmp_path, tmp_path / "backup"):
+            keep_injection(folder / f"{number}-injection.mcap", each)
     assert kept_injections(tmp_path) == kept[::-1]
     report = injection_report(tmp_path)
     assert (report["injections"], report["judged"], report["healthy"], report["silent"], report["right"]) == (4, 3, 2, 1, 2)

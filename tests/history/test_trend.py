@@ -1,5 +1,6 @@
 """Trends: a straight line through moduli over days, with an interval from its scatter."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -57,10 +58,15 @@ def test_a_copy_of_a_recording_is_no_further_evidence_of_a_trend(runs: Path) -> 
     """Two copies beside two runs made a slope whose interval had no width."""
     for number in range(2):
         shutil.copy(runs / "day-0.mcap", runs / f"copy-{number}.mcap")
+    named = {"id": "sensor.bias", "probability": 0.9, "parameters": {"offset_N": {"value": 0.2, "ci95": [0.1, 0.3]}}}
+    for run in ("day-0", "day-1", "day-2", "copy-0", "copy-1"):
+        (runs / f"{run}.A.diagnosis.json").write_text(json.dumps({"effects": [named]}))
     with Catalogue(runs) as catalogue:
         catalogue.refresh()
         points, slopes = modulus_trend(catalogue, "A", RunFilter())
-    assert (len(points), slopes["static"].points) == (5, 3)
+        ((offsets, slope),) = effect_trend(catalogue, "A").values()
+    assert slope is not None
+    assert (len(points), slopes["static"].points, len(offsets), slope.points) == (5, 3, 5, 3)
 
 
 def test_a_trend_over_another_tip_or_model_says_so(runs: Path) -> None:

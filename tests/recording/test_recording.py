@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import fcntl
 import json
 import os
 import resource
@@ -670,6 +671,19 @@ def test_recovering_onto_a_full_disk_is_a_sentence_and_leaves_nothing(tmp_path: 
     with pytest.raises(RecordingError, match=r"some\.mcap cannot be written \(No space left on device\)"):
         recover(part)
     assert list(tmp_path.iterdir()) == [part]
+
+
+def test_a_recovery_that_was_cut_off_itself_is_begun_again_unless_it_is_under_way(tmp_path: Path) -> None:
+    """After a loss of power in a recovery, each further one was refused: "some.recovering exists"; the page offers no other way."""
+    part = write(tmp_path / "some.mcap", palpation()).rename(tmp_path / "some.part")
+    left = tmp_path / "some.recovering"
+    left.write_bytes(b"half")
+    with left.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        with pytest.raises(RecordingError, match=r"some\.recovering exists"):
+            recover(part)
+    assert recover(part).path.exists()
+    assert not left.exists()
 
 
 def test_a_pipe_is_no_recording(tmp_path: Path) -> None:
