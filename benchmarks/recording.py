@@ -75,7 +75,8 @@ def measure(rate_Hz: int, seconds: float, folder: Path) -> str:
     """One line: what a run at that rate costs."""
     rows = palpation(rate_Hz, seconds, time.monotonic() + 0.5)
     ring = Ring.create(rate_Hz)
-    recorder = Recorder.start(ring, folder / f"{rate_Hz}.mcap", {"benchmark": "recording"})
+    recorder = Recorder.begin(ring, folder / f"{rate_Hz}.mcap", {"benchmark": "recording"})
+    recorder.confirm(20.0)
     started_s = cpu_s(recorder.pid)
     writing_s = np.empty(len(rows))
     for number, planned_s in enumerate(rows["planned_s"].tolist()):
