@@ -17,6 +17,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from benchmarks.marked_text import parted, write_marked
 from palpd.daemon.socket_client import NoDaemon, ask
 from palpd.errors import Refused
 from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell, retry_if_machine_stalled
@@ -30,7 +31,7 @@ PATIENCE_S = 180.0
 """Longest wait for a job: a map draws a picture after its press."""
 SIDE_BY_SIDE = 3
 """Emulated cells at a time."""
-PAGE, BEGIN, END = "safety.md", "<!-- after-a-run:begin -->", "<!-- after-a-run:end -->"
+PAGE, MARK = "safety.md", "after-a-run"
 
 
 class ServedCell:
@@ -306,8 +307,7 @@ def table(rows: Mapping[str, Mapping[str, str]]) -> str:
 
 def rows_of(page: str) -> dict[str, dict[str, str]]:
     """The rows of a page that holds the table."""
-    lines = page[page.index(BEGIN) + len(BEGIN) : page.index(END)].strip().splitlines()
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in parted(page, MARK)[1].splitlines()]
     return {row[0]: dict(zip(cells[0][1:], row[1:], strict=True)) for row in cells[2:]}
 
 
@@ -320,9 +320,7 @@ def main() -> None:
         rows = filled(Path(folder))
     print(table(rows))
     if arguments.docs is not None:
-        page = arguments.docs / PAGE
-        text = page.read_text()
-        page.write_text(text[: text.index(BEGIN) + len(BEGIN)] + "\n" + table(rows) + "\n" + text[text.index(END) :])
+        write_marked(arguments.docs / PAGE, MARK, table(rows))
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from benchmarks.after_a_run import ENDS, SOFT_N_PER_M, ServedCell, served
+from benchmarks.marked_text import write_marked
 from benchmarks.operator_page import page_server
 from palpd.testing.emulated_cell import PATIENT, EmulatedCell, emulated_cell
 from palpd.testing.processes import until
@@ -30,7 +31,6 @@ MOST_BUTTONS = 6
 COLOURS = 96
 """Colours of a picture: enough for letters and lines, a third of the bytes."""
 PATIENCE_S = 180.0
-PAGE, BEGIN, END = "page.md", "<!-- page-states:begin -->", "<!-- page-states:end -->"
 
 
 class Shown(NamedTuple):
@@ -189,9 +189,7 @@ def main() -> None:
         if arguments.docs is not None:
             pictures(Path(scratch, "pictures"), chromium, arguments.docs / "figures")
         if arguments.docs is not None and not arguments.pictures_only:
-            page = arguments.docs / PAGE
-            text = page.read_text()
-            page.write_text(text[: text.index(BEGIN) + len(BEGIN)] + "\n" + table(rows) + "\n" + text[text.index(END) :])
+            write_marked(arguments.docs / "page.md", "page-states", table(rows))
         chromium.close()
 
 
