@@ -9,7 +9,7 @@ import yaml
 from palpd.history.check_days import kept_checks
 from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
 from palpd.testing.fixtures import skip_without_ur_rtde
-from tests.hil.serving import served
+from palpd.testing.served_cell import served
 
 pytestmark = pytest.mark.hil
 
