@@ -17,10 +17,10 @@ import pytest
 
 from palpd.testing.emulated_cell import PATIENT, emulated_cell
 from palpd.testing.fixtures import skip_without_ur_rtde
-from palpd.testing.processes import until
+from palpd.testing.processes import free_port, until
 from palpd.testing.served_cell import ServedCell, served
 from palpd.web.sessions import SESSION_S, Sessions
-from tests.browser.waiting import PATIENCE_S, free_port, until_text
+from tests.browser.waiting import PATIENCE_S, until_text
 
 playwright_api: Any = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; pip install playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
