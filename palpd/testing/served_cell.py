@@ -105,8 +105,7 @@ class ServedCell:
 def served(cell: EmulatedCell, patience_s: float = PATIENCE_S, *, calibrate: bool = True) -> Iterator[ServedCell]:
     """Calibrate, and serve within the context."""
     if calibrate:
-        calibrated = cell.palpd("calibrate", "--config", cell.config, patience_s=patience_s)
-        assert calibrated.returncode == 0, calibrated.stderr
+        cell.calibrate(patience_s)
     service = ServedCell(cell)
     try:
         service.until_disarmed(patience_s)
