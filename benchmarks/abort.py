@@ -17,7 +17,6 @@ import json
 import math
 import os
 import selectors
-import signal
 import socket
 import subprocess
 import sys
@@ -38,6 +37,7 @@ from palpd.daemon.control_socket import ControlSocket
 from palpd.daemon.socket_client import ask
 from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
+from palpd.testing import served_cell
 from palpd.testing.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell
 from palpd.testing.processes import take_signals, until
 
@@ -353,20 +353,8 @@ def _keep(kept: Path, crowd: str, attempt: Callable[[], dict[str, Any]]) -> None
 @contextmanager
 def served(folder: Path) -> Iterator[tuple[EmulatedCell, Path]]:
     """A calibrated service before an emulated cell within the context, with its control socket."""
-    with emulated_cell(folder) as base:
-        cell = base.anew(folder, **PATIENT)
-        calibrated = cell.palpd("calibrate", "--config", cell.config)
-        assert calibrated.returncode == 0, calibrated.stderr
-        path = folder / "state" / "palpd.sock"
-        with (folder / "log.jsonl").open("wb") as log:
-            command = [sys.executable, "-m", "palpd", "serve", "--config", str(cell.config)]
-            service = subprocess.Popen(command, stderr=log, start_new_session=True)
-        try:
-            until(path.exists, "the service listens", every_s=0.1)
-            yield cell, path
-        finally:
-            service.send_signal(signal.SIGTERM)
-            service.wait(30.0)
+    with emulated_cell(folder) as base, served_cell.served(base.anew(folder, **PATIENT)) as service:
+        yield service.cell, service.socket
 
 
 def write_table(entries: Sequence[dict[str, Any]]) -> bool:

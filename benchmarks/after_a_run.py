@@ -7,137 +7,77 @@ import argparse
 import itertools
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
 
-from palpd.daemon.socket_client import NoDaemon, ask
+from benchmarks.marked_text import parted, write_marked
 from palpd.errors import Refused
 from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell, retry_if_machine_stalled
 from palpd.testing.operator import Operator
 from palpd.testing.processes import command_of, family, until
+from palpd.testing.served_cell import ServedCell, served
 
-PRESSED_N = 4.0
-"""Force at which a run is ended in the tissue: well above a contact, far below the limits."""
 SOFT_N_PER_M, HARD_N_PER_M = 1000.0, 8000.0
-PATIENCE_S = 180.0
-"""Longest wait for a job: a map draws a picture after its press."""
 SIDE_BY_SIDE = 3
 """Emulated cells at a time."""
-PAGE, BEGIN, END = "safety.md", "<!-- after-a-run:begin -->", "<!-- after-a-run:end -->"
-
-
-class ServedCell:
-    """A service before an emulated cell, calibrated, which may be killed and begun again."""
-
-    def __init__(self, wired: EmulatedCell) -> None:
-        self.wired = wired
-        self.config = wired.config
-        self.socket = wired.folder / "state" / "palpd.sock"
-        self.process: subprocess.Popen[bytes] | None = None
-
-    def begin(self) -> None:
-        """Begin the service, and wait until it has looked at its devices."""
-        with (self.wired.folder / "log.jsonl").open("ab") as log:
-            command = [sys.executable, "-m", "palpd", "serve", "--config", str(self.config)]
-            self.process = subprocess.Popen(command, stderr=log, start_new_session=True)
-        self.until_idle()
-
-    def end(self, number: int = signal.SIGTERM) -> None:
-        """End the service with a signal."""
-        if self.process is not None and self.process.poll() is None:
-            self.process.send_signal(number)
-            self.process.wait(30.0)
-
-    def do(self, what: str, **more: Any) -> dict[str, Any]:
-        """Send one request. Raises Refused."""
-        return dict(ask(self.socket, {"do": what, **more}, 60.0))  # type: ignore[typeddict-item]
-
-    def status(self) -> dict[str, Any]:
-        """The status of the service."""
-        return self.do("status")
-
-    def until_idle(self) -> dict[str, Any]:
-        """Wait until nothing runs; returns how the last job ended."""
-
-        def idle() -> bool:
-            with suppress(NoDaemon):
-                return bool(self.status()["state"] in ("disarmed", "armed"))
-            return False
-
-        until(idle, "the service is idle", PATIENCE_S, every_s=0.05)
-        return dict(self.status().get("last", {}))
-
-    def program(self, name: str, **arguments: Any) -> dict[str, Any]:
-        """Carry out a program as a job; returns its record. Raises Refused."""
-        job = self.do("begin", program=name, arguments=arguments)["id"]
-        self.until_idle()
-        return self.do("job", id=job)
-
-    def press(self) -> None:
-        """Arm, start, and wait until the probe presses."""
-        Operator(self.do).start(PRESS, lambda _: bool(self.wired.truth()["contact_N"] >= PRESSED_N), "the probe presses")
+PAGE, MARK = "safety.md", "after-a-run"
 
 
 # --- how a run ends ---------------------------------------------------------------------------------------------------------------
 
 
-def _done(cell: ServedCell) -> None:
-    Operator(cell.do).arm()
-    cell.do("start", plan=PRESS | {"depths_m": [0.002]})
-    cell.until_idle()
+def _done(service: ServedCell) -> None:
+    Operator(service.do).arm()
+    service.do("start", plan=PRESS | {"depths_m": [0.002]})
+    service.until_idle()
 
 
-def _contact_limit(cell: ServedCell) -> None:
-    Operator(cell.do).arm()
-    cell.do("start", plan=PRESS | {"depths_m": [0.02]})
-    until(lambda: cell.status().get("phase") == "baseline" and cell.status()["depth_m"] is not None, "the surface is found", every_s=0.02)
-    cell.wired.wall(0.003, HARD_N_PER_M)
-    cell.until_idle()
+def _contact_limit(service: ServedCell) -> None:
+    Operator(service.do).arm()
+    service.do("start", plan=PRESS | {"depths_m": [0.02]})
+    until(lambda: (now := service.status()).get("phase") == "baseline" and now["depth_m"] is not None, "the surface is found", every_s=0.02)
+    service.cell.wall(0.003, HARD_N_PER_M)
+    service.until_idle()
 
 
-def _abort(cell: ServedCell) -> None:
-    cell.press()
-    cell.do("abort")
-    cell.until_idle()
+def _abort(service: ServedCell) -> None:
+    service.press()
+    service.do("abort")
+    service.until_idle()
 
 
-def _latched(cell: ServedCell) -> None:
-    cell.press()
-    cell.wired.wires.ask("silent", s=1.0)
-    cell.until_idle()
+def _latched(service: ServedCell) -> None:
+    service.press()
+    service.cell.wires.ask("silent", s=1.0)
+    service.until_idle()
     time.sleep(1.0)
 
 
-def _motion_killed(cell: ServedCell) -> None:
-    cell.press()
-    assert cell.process is not None
-    for pid in family(cell.process.pid):
+def _motion_killed(service: ServedCell) -> None:
+    service.press()
+    for pid in family(service.process.pid):
         if "spawn_main" in command_of(pid):
             os.kill(pid, signal.SIGKILL)
-    cell.until_idle()
+    service.until_idle()
 
 
-def _service_killed(cell: ServedCell) -> None:
-    cell.press()
-    cell.end(signal.SIGKILL)
+def _service_killed(service: ServedCell) -> None:
+    service.press()
+    service.end(signal.SIGKILL)
     time.sleep(2.0)
-    cell.begin()
+    service.begin()
 
 
-def _power_lost(cell: ServedCell) -> None:
-    cell.press()
-    assert cell.process is not None
-    os.killpg(cell.process.pid, signal.SIGKILL)
-    cell.process.wait()
+def _power_lost(service: ServedCell) -> None:
+    service.press()
+    os.killpg(service.process.pid, signal.SIGKILL)
+    service.process.wait()
     time.sleep(2.0)
-    cell.begin()
+    service.begin()
 
 
 ENDS: Mapping[str, Callable[[ServedCell], None]] = {
@@ -172,50 +112,50 @@ def _outcome(act: Callable[[], str]) -> str:
         return _why(str(refused))
 
 
-def _arm(cell: ServedCell) -> str:
-    return str(cell.do("arm")["state"])
+def _arm(service: ServedCell) -> str:
+    return str(service.do("arm")["state"])
 
 
-def _start(cell: ServedCell) -> str:
-    cell.do("start", plan=PRESS | {"depths_m": [0.002]})
-    last = cell.until_idle()
+def _start(service: ServedCell) -> str:
+    service.do("start", plan=PRESS | {"depths_m": [0.002]})
+    last = service.until_idle()
     return "runs" if last["verdict"] == "done" else f"{last['verdict']}: {last['reason']}"
 
 
-def _calibrate(cell: ServedCell) -> str:
-    job = cell.program("calibrate")
+def _calibrate(service: ServedCell) -> str:
+    job = service.program("calibrate")
     return "kept" if job["verdict"] == "done" else _why(job["reason"])
 
 
-def _take_reference(cell: ServedCell) -> str:
-    daemon = cell.wired.run(PRESS | {"depths_m": [0.002]})
+def _take_reference(service: ServedCell) -> str:
+    daemon = service.cell.run(PRESS | {"depths_m": [0.002]})
     code = daemon.wait()
     return "runs" if code == 0 else _why(daemon.stderr)
 
 
-def _doctor(cell: ServedCell) -> str:
-    findings = cell.program("doctor", watch_s=1.0)["result"]["findings"]
+def _doctor(service: ServedCell) -> str:
+    findings = service.program("doctor", watch_s=1.0)["result"]["findings"]
     finding = next(one for one in findings if one["name"] == "probe free")
     return str(finding["figures"]["state"])
 
 
-def _retract(cell: ServedCell) -> str:
-    cell.do("retract")
-    last = cell.until_idle()
+def _retract(service: ServedCell) -> str:
+    service.do("retract")
+    last = service.until_idle()
     if last["verdict"] == "done":
-        return f"leaves the tissue, then {cell.status()['probe']['state']}"
+        return f"leaves the tissue, then {service.status()['probe']['state']}"
     return _why(last["reason"])
 
 
-def _clear(cell: ServedCell) -> str:
-    cell.do("clear")
-    return f"clears the latch; {cell.status()['probe']['state']}"
+def _clear(service: ServedCell) -> str:
+    service.do("clear")
+    return f"clears the latch; {service.status()['probe']['state']}"
 
 
-def _map(cell: ServedCell) -> str:
+def _map(service: ServedCell) -> str:
     with suppress(Refused):
-        cell.do("arm")
-    job = cell.program("map", most_presses=1, depth_m=0.002, width_m=0.01, height_m=0.01)
+        service.do("arm")
+    job = service.program("map", most_presses=1, depth_m=0.002, width_m=0.01, height_m=0.01)
     return "runs" if job["verdict"] == "done" else _why(job["reason"])
 
 
@@ -242,23 +182,9 @@ def row(wired: EmulatedCell, end: str, commands: tuple[str, ...] = tuple(COMMAND
     Returns:
         What each did.
     """
-    with served(wired) as cell:
-        ENDS[end](cell)
-        return {command: _outcome(lambda command=command: COMMANDS[command](cell)) for command in commands}  # type: ignore[misc]
-
-
-@contextmanager
-def served(wired: EmulatedCell) -> Iterator[ServedCell]:
-    """A calibrated service within the context."""
-    calibrated = wired.palpd("calibrate", "--config", wired.config)
-    assert calibrated.returncode == 0, calibrated.stderr
-    cell = ServedCell(wired)
-    try:
-        cell.begin()
-        yield cell
-    finally:
-        cell.end()
-        cell.end(signal.SIGKILL)
+    with served(wired) as service:
+        ENDS[end](service)
+        return {command: _outcome(lambda command=command: COMMANDS[command](service)) for command in commands}  # type: ignore[misc]
 
 
 def filled(folder: Path, known: Mapping[str, Mapping[str, str]] | None = None) -> dict[str, dict[str, str]]:
@@ -306,8 +232,7 @@ def table(rows: Mapping[str, Mapping[str, str]]) -> str:
 
 def rows_of(page: str) -> dict[str, dict[str, str]]:
     """The rows of a page that holds the table."""
-    lines = page[page.index(BEGIN) + len(BEGIN) : page.index(END)].strip().splitlines()
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in parted(page, MARK)[1].splitlines()]
     return {row[0]: dict(zip(cells[0][1:], row[1:], strict=True)) for row in cells[2:]}
 
 
@@ -320,9 +245,7 @@ def main() -> None:
         rows = filled(Path(folder))
     print(table(rows))
     if arguments.docs is not None:
-        page = arguments.docs / PAGE
-        text = page.read_text()
-        page.write_text(text[: text.index(BEGIN) + len(BEGIN)] + "\n" + table(rows) + "\n" + text[text.index(END) :])
+        write_marked(arguments.docs / PAGE, MARK, table(rows))
 
 
 if __name__ == "__main__":

@@ -135,21 +135,13 @@ def objection(outcome: ArmingOutcome, row: ArmingRow) -> str:
     return f"the target moved by {outcome.moved_m:g} m" if outcome.moved_m else ""
 
 
-def prepared(base: EmulatedCell) -> str:
-    """A reference tare for all runs of a cell: the content of its file."""
-    cell = base.anew(base.folder)
-    done = cell.palpd("calibrate", "--config", cell.config)
-    assert done.returncode == 0, done.stderr
-    return (base.folder / "state" / "calibration.json").read_text()
-
-
 def fresh(base: EmulatedCell, folder: Path, calibration: str) -> EmulatedCell:
     """The same cell for another run.
 
     Args:
         base: The cell.
         folder: Folder of the new run.
-        calibration: What `prepared` returned.
+        calibration: Content of the file of a reference tare.
 
     Returns:
         The cell, ready and calibrated.
@@ -171,7 +163,7 @@ def measure(samples: int, end_s: float, kept: Path, folder: Path) -> None:
     for model in ("ur5", "ur5e"):
         (folder / model).mkdir()
         with emulated_cell(folder / model, model) as base:
-            calibration = prepared(base)
+            calibration = base.anew(base.folder).calibrate().read_text()
             for number in range(samples):
                 for fault in [name for name, kind in ARMING_FAULTS.items() if kind.model == model]:
                     if sum(result["fault"] == fault for result in results_in(kept)) > number:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from benchmarks.compensation_methods import methods
+from benchmarks.marked_text import write_marked
 from benchmarks.recurrent_method import Recurrent
 from palpd.analysis.intervals import mean_half_width_95
 from palpd.analysis.results import PEAK_WINDOW_S
@@ -35,7 +36,6 @@ from palpd.study.methods import (
 from palpd.tick import Floats
 
 DOC = Path(__file__).parents[1] / "docs" / "compensation.md"
-BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 HOME_M = 0.03
 TRAINED_BIAS_N = 0.19
 Effects = dict[str, dict[str, float]]
@@ -260,9 +260,7 @@ def main() -> None:
     text += "; ".join(f"{name} {gap * 1e3:.1f}" for name, gap in gaps) + "."
     print(text)
     if asked.write:
-        page = DOC.read_text(encoding="utf-8")
-        head, rest = page.split(BEGIN)
-        DOC.write_text(f"{head}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+        write_marked(DOC, "table", text)
 
 
 if __name__ == "__main__":

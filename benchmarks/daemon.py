@@ -21,7 +21,7 @@ import numpy as np
 from palpd.daemon.replay import replay
 from palpd.recording.reader import Recording, Rows
 from palpd.testing.emulated_cell import PRESS, Daemon, EmulatedCell, emulated_cell
-from palpd.testing.processes import command_of, family
+from palpd.testing.processes import command_of, family, resident_MB
 
 LATE_US = 1000.0
 CYCLE_US = {"ur5": 8000, "ur5e": 2000}
@@ -56,7 +56,7 @@ class Cyclictest:
         return {"p50": p50, "p99": p99, "late": late / total}
 
 
-def resident_MB(daemon: Daemon) -> dict[str, float]:
+def memory_MB(daemon: Daemon) -> dict[str, float]:
     """Resident memory of each process of the daemon, by what it is."""
     names = {
         "spawn_main": "motion",
@@ -69,8 +69,7 @@ def resident_MB(daemon: Daemon) -> dict[str, float]:
     for pid in family(daemon.process.pid):
         command = command_of(pid)
         name = next((name for part, name in names.items() if part in command), command[:40])
-        text = Path(f"/proc/{pid}/status").read_text()
-        sizes_MB[name] = int(re.search(r"VmRSS:\s+(\d+)", text).group(1)) / 1024  # type: ignore[union-attr]
+        sizes_MB[name] = resident_MB(pid)
     return sizes_MB
 
 
@@ -86,7 +85,7 @@ def measure(model: str, presses: int, folder: Path) -> dict[str, Any]:
         memory: dict[str, float] = {}
         while daemon.process.poll() is None:
             try:
-                now = resident_MB(daemon)
+                now = memory_MB(daemon)
             except (OSError, AttributeError):
                 break
             memory = now if sum(now.values()) > sum(memory.values()) else memory

@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,30 +25,31 @@ from palpd.daemon.wiring import devices
 from palpd.errors import Stopped
 from palpd.recording.ring import Ring
 from palpd.testing.emulated_cell import EmulatedCell
+from palpd.testing.processes import until
 from palpd.tick import PROGRAM_PLAYING, Phase
 
+WAY_M = 0.02
 UP_M_PER_S = 0.02
 
 
 class Push(Script):
-    """Go down and up again, several times."""
+    """Go down and up again."""
 
-    def __init__(self, arm: ArmGeometry, speed_m_per_s: float, way_m: float, times: int) -> None:
+    def __init__(self, arm: ArmGeometry, speed_m_per_s: float) -> None:
         super().__init__(arm)
-        self._speed_m_per_s, self._way_m, self._times = speed_m_per_s, way_m, times
+        self._speed_m_per_s = speed_m_per_s
 
     def run(self) -> Steps:
         """Down and up."""
-        self.note(floor_z_m=self.home[2] - self._way_m - 0.001)
-        for _ in range(self._times):
-            self.note(phase=Phase.PRESS)
-            while self.observation.robot.target_pose[2] > self.home[2] - self._way_m:
-                yield from self.move(vz_m_per_s=-self._speed_m_per_s)
-            self.note(phase=Phase.RETRACT)
-            while self.observation.robot.target_pose[2] < self.home[2]:
-                yield from self.move(vz_m_per_s=UP_M_PER_S)
-            self.note(phase=Phase.BASELINE)
-            yield from self.wait(0.1)
+        self.note(floor_z_m=self.home[2] - WAY_M - 0.001)
+        self.note(phase=Phase.PRESS)
+        while self.observation.robot.target_pose[2] > self.home[2] - WAY_M:
+            yield from self.move(vz_m_per_s=-self._speed_m_per_s)
+        self.note(phase=Phase.RETRACT)
+        while self.observation.robot.target_pose[2] < self.home[2]:
+            yield from self.move(vz_m_per_s=UP_M_PER_S)
+        self.note(phase=Phase.BASELINE)
+        yield from self.wait(0.1)
 
 
 @dataclass(frozen=True)
@@ -72,16 +72,15 @@ class DirectCell:
         self._ring = Ring.create(config.robot.rate_Hz, seconds=20.0)
         self._home_z_m = opened.robot.read().target_pose[2]
 
-    def push(self, speed_m_per_s: float, way_m: float = 0.02, times: int = 1, **limits: Any) -> PushOutcome:
+    def push(self, speed_m_per_s: float) -> PushOutcome:
         """Push from home until the guard or the script ends it; the arm stays where that is."""
         explainer = Explainer(
             self._reference, self._explainer.rotation_about_flange_z_rad, motion=self._explainer.motion, tare=self._reference
         )
-        config = self.config.model_copy(update={"safety": self.config.safety.model_copy(update=limits)})
-        script = Push(arm_geometry_of(self._job, self._devices.about["delay_s"]), speed_m_per_s, way_m, times)
+        script = Push(arm_geometry_of(self._job, self._devices.about["delay_s"]), speed_m_per_s)
         robot, sensor = self._robot, self._devices.sensor
-        clock = RealClock(config.robot.rate_Hz, self._devices.first_tick_s)
-        loop = Loop(robot, sensor, clock, Sequence(script), explainer, limits_of(config), RingWriter(self._ring))
+        clock = RealClock(self.config.robot.rate_Hz, self._devices.first_tick_s)
+        loop = Loop(robot, sensor, clock, Sequence(script), explainer, limits_of(self.config), RingWriter(self._ring))
         first = self._ring.published
         with realtime():
             loop.rehearse()
@@ -107,9 +106,12 @@ class DirectCell:
         time.sleep(0.15)
 
     def _play(self) -> None:
-        """Between two pushes nobody feeds the controller's watchdog."""
-        if self._robot.read().runtime_state != PROGRAM_PLAYING:
-            self._robot.rearm()
+        """Between two pushes nobody feeds the controller's watchdog, so its program is uploaded again."""
+        robot, control = self._robot, self._robot._control  # noqa: SLF001 - a run of palpd begins in a new process instead
+        if robot.read().runtime_state != PROGRAM_PLAYING:
+            control.reuploadScript()
+            until(lambda: robot.read().runtime_state == PROGRAM_PLAYING and control.isProgramRunning(), "the program plays")
+            robot.arm()
 
     @property
     def _robot(self) -> UrRobot:

@@ -7,7 +7,6 @@ target is missed.
 """
 
 import argparse
-import re
 import runpy
 import sys
 import tempfile
@@ -18,19 +17,18 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.marked_text import write_marked
 from palpd.cell.cell_file import CellFile, Estimated, nominal
 from palpd.cell.effects import EFFECTS, Effect, Scale
 from palpd.cell.motion_profile import Move, commanded_heights
 from palpd.cell.simulation import scale_of, simulate
 from palpd.errors import BadInput
-from palpd.files import read_text, write_text
 from palpd.gap.model.coordinates import stretched
 from palpd.interchange.simulators.export import MOST_OFF, Target, agreement_of, export_cell
 from palpd.interchange.simulators.exported_cell import COLUMNS
 from palpd.tick import Floats
 
 PAGE = "export-sim.md"
-BEGIN, END = "<!-- effects:begin -->", "<!-- effects:end -->"
 TARGETS: tuple[Target, ...] = ("mujoco", "fmu")
 SCRIPTS = {"mujoco": "palpd_cell.py", "fmu": "rollout.py"}
 MOST_REFUSED = 4
@@ -173,8 +171,7 @@ def main() -> None:
         print(table(rows[-1:], targets).splitlines()[2], flush=True)
     print(table(rows, targets).splitlines()[-1])
     if asked.docs is not None:
-        page = read_text(asked.docs / PAGE)
-        write_text(asked.docs / PAGE, re.sub(f"{BEGIN}.*{END}", lambda _: f"{BEGIN}\n{table(rows, targets)}\n{END}", page, flags=re.DOTALL))
+        write_marked(asked.docs / PAGE, "effects", table(rows, targets))
     missed = [one.name for one in rows if not all(value <= MOST_OFF for value in one.off.values())]
     sys.exit(len(missed) > MOST_REFUSED or any(not one.refusal for one in rows if one.name in missed))
 

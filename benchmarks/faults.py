@@ -89,7 +89,7 @@ class Bench:
     def work(self, folder: Path) -> None:
         """Inject faults into one cell until the list is empty or the time is over."""
         with emulated_cell(folder, "ur5") as base:
-            calibration = _calibration(base, folder)
+            calibration = base.anew(folder).calibrate().read_text()
             environment = wall_clock(folder)
 
             def cell() -> EmulatedCell:
@@ -143,13 +143,6 @@ class Bench:
     def _machine_late_s(self, one: FaultOutcome) -> float:
         """Of a run that has ended: from just before the fault until the arm was at rest. A run that went on has survived it."""
         return 0.0 if one.ticks is None else self._watch.late_s(one.done_s - 0.1, one.done_s + 0.6)
-
-
-def _calibration(base: EmulatedCell, folder: Path) -> str:
-    ready = base.anew(folder)
-    done = ready.palpd("calibrate", "--config", ready.config)
-    assert done.returncode == 0, done.stderr
-    return (folder / "state" / "calibration.json").read_text()
 
 
 def _shown(came: FaultOutcome) -> str:

@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.marked_text import write_marked
 from palpd.cell.cell_file import load_cell
 from palpd.daemon.demo import gap
 from palpd.daemon.display import Display, NoDisplay
-from palpd.files import read_text, write_text
 
 ROOT = Path(__file__).parents[1]
 LAWS = ROOT / "docs" / "examples" / "laws"
 PAGE = "outside-the-list.md"
-BEGIN, END = "<!-- laws:begin -->", "<!-- laws:end -->"
 """Marks around the table in the page."""
 
 
@@ -67,22 +66,7 @@ def table(demos: list[LawDemo]) -> str:
         closed = "–" if one.closed is None else f"{one.closed:.0%}"
         formula = f"`{one.formula}`" if one.formula not in ("", "a curve") else one.formula
         lines.append(f"| [{one.planted}](examples/laws/{one.name}.yaml) | {one.answer} | {formula} | {closed} | {one.seconds:.0f} |")
-    return "\n".join(lines) + "\n"
-
-
-def with_table(page: str, text: str) -> str:
-    """A page with the table between its marks.
-
-    Args:
-        page: The text of the page.
-        text: The table.
-
-    Returns:
-        The new text.
-    """
-    before, _, rest = page.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{text}{END}{after}"
+    return "\n".join(lines)
 
 
 def main() -> None:
@@ -99,8 +83,7 @@ def main() -> None:
         demos = [demonstrate(law, folder / law.stem, NoDisplay(), wires=options.wires) for law in laws]
     print(table(demos))
     if options.docs is not None:
-        path = options.docs / PAGE
-        write_text(path, with_table(read_text(path), table(demos)))
+        write_marked(options.docs / PAGE, "laws", table(demos))
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import lfilter
 
+from benchmarks.marked_text import write_marked
 from palpd.analysis.results import Track, track
 from palpd.cell.cell_file import cell_from
 from palpd.cell.simulation import simulate
@@ -37,7 +38,6 @@ from palpd.recording.samples import WRENCH_COLUMNS, Samples
 from palpd.tick import Floats, Phase
 from palpd.workers import pool
 
-PAGE, BEGIN, END = Path("how-to") / "morning-check.md", "<!-- morning-check:begin -->", "<!-- morning-check:end -->"
 CONFIG = Config(check=CheckConfig(plate=True))
 MACHINE_N_PER_M, PLATE_N_PER_M, FILTER_S = 50e3, 1e6, 1.0 / (2.0 * np.pi * 150.0)
 ZERO_SD_N, ZERO_N_PER_K, ROOM_SD_K = 0.05, 0.03, 2.0
@@ -294,9 +294,7 @@ def main() -> None:
     if given.json:
         write_json(given.json, {"table": table, "diagnosed": named})
     if given.docs:
-        page = given.docs / PAGE
-        before, rest = page.read_text().split(BEGIN)
-        page.write_text(f"{before}{BEGIN}\n{table}\n{END}{rest.split(END)[1]}")
+        write_marked(given.docs / "how-to" / "morning-check.md", "morning-check", table)
 
 
 def table_of(outcomes: Sequence[CellOutcome], named: Sequence[tuple[str, tuple[str, ...]]]) -> str:

@@ -1,7 +1,6 @@
 """The operator's page in a headless Chromium: its server as a process of its own, and pages that say what they show. Benchmarks use it."""
 
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -11,6 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from playwright.sync_api import Page, sync_playwright
+
+from palpd.testing.processes import free_port
 
 PATIENCE_MS = 60_000
 BRACKETS = 20
@@ -22,13 +23,6 @@ class PageServer(NamedTuple):
 
     process: subprocess.Popen[str]
     url: str
-
-
-def free_port() -> int:
-    """A port of this computer that nobody listens at."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 @contextmanager

@@ -30,7 +30,6 @@ SECTIONS = {
     "replay": Section("Replay at 125 Hz", "benchmarks/daemon.py --model ur5 --presses 2", "benchmarks/daemon.py --model ur5 --presses 20"),
     "endurance": Section("Ten runs of ten minutes at 500 Hz", None, "-m benchmarks.endurance"),
     "tick": Section("Parts of a tick, without wires", "benchmarks/tick.py", "benchmarks/tick.py --rounds 9"),
-    "cheaper": Section("What made a tick cheaper", None, "benchmarks/tick.py --against ../before"),
     "rate": Section(
         "Ticks, with cyclictest and common alternatives",
         "benchmarks/rate.py --seconds 8 --stress --alternatives",

@@ -17,10 +17,12 @@ from typing import NamedTuple
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from benchmarks.after_a_run import ENDS, SOFT_N_PER_M, ServedCell, served
+from benchmarks.after_a_run import ENDS, SOFT_N_PER_M
+from benchmarks.marked_text import write_marked
 from benchmarks.operator_page import page_server
 from palpd.testing.emulated_cell import PATIENT, EmulatedCell, emulated_cell
 from palpd.testing.processes import until
+from palpd.testing.served_cell import ServedCell, served
 
 SIZES = ((1400, 900), (768, 1024), (390, 844))
 SCHEMES = ("light", "dark")
@@ -30,7 +32,6 @@ MOST_BUTTONS = 6
 COLOURS = 96
 """Colours of a picture: enough for letters and lines, a third of the bytes."""
 PATIENCE_S = 180.0
-PAGE, BEGIN, END = "page.md", "<!-- page-states:begin -->", "<!-- page-states:end -->"
 
 
 class Shown(NamedTuple):
@@ -44,8 +45,8 @@ class Shown(NamedTuple):
 class Watched:
     """A cell with its page: `operator` presses buttons, the others look on, each with a screen and colours of its own."""
 
-    def __init__(self, cell: ServedCell, link: str, chromium: Browser, folder: Path | None) -> None:
-        self.cell, self.folder = cell, folder
+    def __init__(self, service: ServedCell, link: str, chromium: Browser, folder: Path | None) -> None:
+        self.service, self.folder = service, folder
         self.operator = self._opened(chromium, link, SIZES[0], "light", "anna")
         others = [(size, scheme) for size in SIZES for scheme in SCHEMES if (size, scheme) != (SIZES[0], "light")]
         self.others = [self._opened(chromium, link, size, scheme, "ben") for size, scheme in others] if folder is not None else []
@@ -66,8 +67,8 @@ class Watched:
 
     def idle(self) -> Shown:
         """What the page says once nothing runs."""
-        until(lambda: self.cell.status()["state"] in ("disarmed", "armed"), "nothing runs", PATIENCE_S, every_s=0.1)
-        now = self.cell.status()["now"]
+        until(lambda: self.service.status()["state"] in ("disarmed", "armed"), "nothing runs", PATIENCE_S, every_s=0.1)
+        now = self.service.status()["now"]
         until(
             lambda: self.operator.text_content("#doing") is not None and self._shown().word == now["word"], "the page says so", PATIENCE_S
         )
@@ -108,9 +109,9 @@ def watched(folder: Path, chromium: Browser, kept: Path | None, *, phantom: bool
             wired = EmulatedCell(wired.wires, wired.model, folder / "run", PATIENT)
         else:
             wired = wired.anew(folder / "run", SOFT_N_PER_M, **PATIENT)
-        cell = stack.enter_context(served(wired))
-        server = stack.enter_context(page_server(cell.config))
-        yield Watched(cell, server.url, chromium, kept)
+        service = stack.enter_context(served(wired))
+        server = stack.enter_context(page_server(wired.config))
+        yield Watched(service, server.url, chromium, kept)
 
 
 def after_each_end(folder: Path, chromium: Browser, kept: Path | None) -> dict[str, list[Shown]]:
@@ -119,7 +120,7 @@ def after_each_end(folder: Path, chromium: Browser, kept: Path | None) -> dict[s
     for end, finish in ENDS.items():
         name = end.replace(" ", "-")
         with watched(folder / name, chromium, kept) as watching:
-            finish(watching.cell)
+            finish(watching.service)
             rows[end] = watching.follow(name)
             print(end, rows[end], flush=True)
     return rows
@@ -136,13 +137,13 @@ def table(rows: Mapping[str, list[Shown]]) -> str:
 def pictures(folder: Path, chromium: Browser, figures: Path) -> None:
     """Take the pictures of docs/page.md."""
     with watched(folder, chromium, None, phantom=True) as watching:
-        page, cell = watching.operator, watching.cell
+        page, service = watching.operator, watching.service
         page.set_viewport_size({"width": 1400, "height": 880})
         page.click("[data-do=arm]")
         page.wait_for_selector("body[data-state=armed]")
         _picture(page, figures / "page-armed.png")
         page.click("[data-do=start]")
-        until(lambda: cell.status().get("site") == 1 and cell.status().get("phase") == "hold", "it holds", PATIENCE_S, every_s=0.1)
+        until(lambda: service.status().get("site") == 1 and service.status().get("phase") == "hold", "it holds", PATIENCE_S, every_s=0.1)
         until(lambda: page.locator("#sites tr").count() >= 1, "a site is analysed", PATIENCE_S, every_s=0.1)
         _picture(page, figures / "page-pressing.png")
         page.click("#distance")
@@ -157,8 +158,8 @@ def pictures(folder: Path, chromium: Browser, figures: Path) -> None:
         watching.follow("way-out")
         page.select_option("#place-choice", "return")
         page.click("[data-do=start]")
-        until(lambda: cell.status().get("phase") == "hold", "it holds", PATIENCE_S, every_s=0.1)
-        cell.wired.wires.ask("silent", s=1.0)
+        until(lambda: service.status().get("phase") == "hold", "it holds", PATIENCE_S, every_s=0.1)
+        service.cell.wires.ask("silent", s=1.0)
         page.wait_for_selector("body[data-state=latched]")
         _picture(page, figures / "page-stopped.png")
 
@@ -189,9 +190,7 @@ def main() -> None:
         if arguments.docs is not None:
             pictures(Path(scratch, "pictures"), chromium, arguments.docs / "figures")
         if arguments.docs is not None and not arguments.pictures_only:
-            page = arguments.docs / PAGE
-            text = page.read_text()
-            page.write_text(text[: text.index(BEGIN) + len(BEGIN)] + "\n" + table(rows) + "\n" + text[text.index(END) :])
+            write_marked(arguments.docs / "page.md", "page-states", table(rows))
         chromium.close()
 
 

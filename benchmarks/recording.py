@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from palpd.recording.reader import Recording, same_rows
 from palpd.recording.recorder import Recorder
 from palpd.recording.ring import Ring
+from palpd.testing.processes import processor_s
 from palpd.tick import ROW, Mode, Phase
 
 FRAME_HZ = 1000
@@ -59,12 +60,6 @@ def palpation(rate_Hz: int, seconds: float, start_s: float) -> NDArray[np.void]:
     return rows
 
 
-def cpu_s(pid: int) -> float:
-    """Processor time a process has used, user and kernel."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / 100.0
-
-
 def peak_MB(pid: int) -> float:
     """The most memory a process has had resident."""
     status = Path(f"/proc/{pid}/status").read_text()
@@ -75,15 +70,16 @@ def measure(rate_Hz: int, seconds: float, folder: Path) -> str:
     """One line: what a run at that rate costs."""
     rows = palpation(rate_Hz, seconds, time.monotonic() + 0.5)
     ring = Ring.create(rate_Hz)
-    recorder = Recorder.start(ring, folder / f"{rate_Hz}.mcap", {"benchmark": "recording"})
-    started_s = cpu_s(recorder.pid)
+    recorder = Recorder.begin(ring, folder / f"{rate_Hz}.mcap", {"benchmark": "recording"})
+    recorder.confirm(20.0)
+    started_s = processor_s(recorder.pid)
     writing_s = np.empty(len(rows))
     for number, planned_s in enumerate(rows["planned_s"].tolist()):
         time.sleep(max(0.0, planned_s - time.monotonic()))
         begin_s = time.perf_counter()
         ring.write(rows[number])
         writing_s[number] = time.perf_counter() - begin_s
-    used_s, memory_MB, lag = cpu_s(recorder.pid) - started_s, peak_MB(recorder.pid), ring.recorder_lag
+    used_s, memory_MB, lag = processor_s(recorder.pid) - started_s, peak_MB(recorder.pid), ring.recorder_lag
     path = recorder.close({"verdict": "done"})
     lost = ring.recorder_lost
     ring.close()

@@ -16,13 +16,13 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from benchmarks.marked_text import write_marked
 from benchmarks.setup import PLATE_N_PER_M, SetupSession, operate
 from palpd.cell.cell_file import PHANTOM, save_cell
 from palpd.daemon.setup.flow import NAMES
 from palpd.daemon.starting_files import write_starting_files
 from palpd.testing.emulated_cell import EmulatedCell, emulated_cell
 
-BEGIN, END = "<!-- faults:begin -->", "<!-- faults:end -->"
 LOOSE_N_PER_M = 3000.0
 """Stiffness of a sensor whose screws are loose, in series with the rest of the machine (assumed)."""
 
@@ -124,9 +124,7 @@ def main() -> int:
         missed += not good
         print(rows[-1], "" if good else f"\n{session.text}", flush=True)
     if arguments.docs:
-        page = arguments.docs / "how-to" / "setup.md"
-        before, after = page.read_text().split(BEGIN)[0], page.read_text().split(END)[1]
-        page.write_text(before + BEGIN + "\n" + "\n".join(rows) + "\n" + END + after)
+        write_marked(arguments.docs / "how-to" / "setup.md", "faults", "\n".join(rows))
     return int(missed > 0)
 
 

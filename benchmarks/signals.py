@@ -41,7 +41,6 @@ from palpd.testing.processes import family, side_by_side, take_signals
 REST_TARGET_S = 0.150
 GONE_TARGET_S = 1.0
 PATIENCE_S = 60.0
-CALIBRATION = "calibration.json"
 SETTLE_S = 0.6
 """Time after the end of the main process in which its helpers (the keeper of the shared memory) may end too."""
 STAGES = {"start": 0.65, "motion": 0.31, "end": 0.04}
@@ -309,14 +308,12 @@ class SignalBench:
     def work(self, folder: Path) -> None:
         """Interrupt commands in one cell until the list is empty or the time is over."""
         with emulated_cell(folder) as base:
-            first = base.anew(folder)
-            calibrated = first.palpd("calibrate", "--config", first.config)
-            assert calibrated.returncode == 0, calibrated.stderr
+            calibration = base.anew(folder).calibrate()
 
             def fresh(command: str) -> EmulatedCell:
                 own = Path(tempfile.mkdtemp(prefix="signal-", dir=folder))
                 (own / "state").mkdir()
-                shutil.copy(folder / "state" / CALIBRATION, own / "state" / CALIBRATION)
+                shutil.copy(calibration, own / "state")
                 rigid = {"stiffness_N_per_m": RIGID_N_PER_M} if command == "stiffness" else {}
                 return base.anew(own, **rigid, **PATIENT)
 

@@ -9,7 +9,6 @@ import argparse
 import contextlib
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -24,8 +23,8 @@ import numpy as np
 from palpd.daemon.socket_client import ARM_PATIENCE_S, ask
 from palpd.errors import PalpdError
 from palpd.recording.ring import Ring
-from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
-from palpd.testing.processes import command_of, family, take_signals, until
+from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell, ring_of
+from palpd.testing.processes import command_of, family, resident_MB, take_signals, until
 
 PLAN = PRESS | {"depths_m": [0.004, 0.006, 0.008], "repeats": 100}
 """Some quarter of an hour."""
@@ -124,7 +123,7 @@ class Soak:
         end_s, begun_s = time.monotonic() + seconds, time.monotonic()
         while time.monotonic() < end_s and not stopping:
             self.begin()
-            ring = Ring.attach(ring_of(self.service.pid))
+            ring = ring_of(self.service.pid)
             first = until(lambda ring=ring: self.newest(ring), "the first tick")  # type: ignore[misc]
             began = (float(first["now_s"]), int(first["index"]), ring.published)
             _, first_index, first_rows = began
@@ -153,19 +152,6 @@ class Soak:
             print(json.dumps({"ended": reason, "ticks": ticks, "missed": ticks - rows}), file=sys.stderr, flush=True)
             if last["recording"]:
                 Path(last["recording"]).unlink(missing_ok=True)  # a quarter of a gigabyte each
-
-
-def ring_of(pid: int) -> str:
-    """Name of the shared memory that a process has mapped."""
-    match = re.search(r"/dev/shm/(\S+)", Path(f"/proc/{pid}/maps").read_text())
-    assert match is not None
-    return match.group(1)
-
-
-def resident_MB(pid: int) -> float:
-    """Resident memory of a process."""
-    match = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())
-    return int(match.group(1)) / 1024 if match else 0.0
 
 
 def flatness(minutes: list[Minute]) -> list[str]:

@@ -27,7 +27,7 @@ import yaml
 from palpd.daemon.control_socket import ControlSocket, Watching
 from palpd.recording.ring import Ring
 from palpd.streams.force_socket import RECORD, ForceRecord
-from palpd.testing.processes import until
+from palpd.testing.processes import free_port, processor_s, until
 from palpd.tick import Floats, TickRecord
 
 OUTPUTS = {"nothing": (), "force": ("force",), "all, viewed and scraped": ("force", "foxglove", "metrics")}
@@ -150,7 +150,7 @@ def measure(rate_Hz: int, records: int, served: str, folder: Path) -> dict[str, 
     folder.mkdir()
     config = folder / "config.yaml"
     config.write_text(yaml.safe_dump({"robot": {"model": MODELS[rate_Hz]}}))
-    ports = _free_ports(2)
+    ports = [free_port(), free_port()]
     options = {
         "force": ["--force", str(folder / "force")],
         "foxglove": ["--foxglove", str(ports[0])],
@@ -171,12 +171,12 @@ def measure(rate_Hz: int, records: int, served: str, folder: Path) -> dict[str, 
         if "foxglove" in OUTPUTS[served]:
             _line(_started(stack, ["-m", "benchmarks.stream", "--view", *map(str, ports)]))
         time.sleep(SETTLE_S)
-        before_s = _processor_s(stream)
+        before_s = processor_s(stream.pid) if stream is not None else 0.0
         assert loop.stdin is not None
         loop.stdin.write("go\n")
         loop.stdin.flush()
         assert (ended := _line(loop)) == "done", ended
-        spent_s = _processor_s(stream) - before_s
+        spent_s = processor_s(stream.pid) - before_s if stream is not None else 0.0
         if stream is not None and reader is not None:
             stream.send_signal(signal.SIGTERM)
             assert stream.wait(30.0) == 0, "the stream failed"
@@ -193,14 +193,6 @@ def measure(rate_Hz: int, records: int, served: str, folder: Path) -> dict[str, 
     return figures | {"from_ring_us": from_ring_us, "sent_us": sent_us, "share": spent_s / (records / rate_Hz)}
 
 
-def _free_ports(number: int) -> list[int]:
-    with ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket()) for _ in range(number)]
-        for each in sockets:
-            each.bind(("127.0.0.1", 0))
-        return [each.getsockname()[1] for each in sockets]
-
-
 def _started(stack: ExitStack, words: Sequence[str]) -> subprocess.Popen[str]:
     process = subprocess.Popen([sys.executable, *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     stack.enter_context(process)
@@ -214,14 +206,6 @@ def _line(process: subprocess.Popen[str]) -> str:
     line = process.stdout.readline().strip()
     assert line, f"{process.args} ended too early"
     return line
-
-
-def _processor_s(process: subprocess.Popen[str] | None) -> float:
-    """Processor time that a process has used."""
-    if process is None:
-        return 0.0
-    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def line_of(rate_Hz: int, served: str, figures: dict[str, Any]) -> str:

@@ -1,24 +1,18 @@
 """Where the time of a tick goes: each of the six sentences of the loop, and the replay of the same run, without wires.
 
-`python benchmarks/tick.py [--against TREE]` prints a markdown table. A palpation on a simulated cell is recorded at 125 and at 500 Hz with
+`python benchmarks/tick.py` prints a markdown table. A palpation on a simulated cell is recorded at 125 and at 500 Hz with
 the network on every sample. Then the loop makes its decisions again. `observe` is the drivers' own code before bytes and a UR receiver in
 memory. Everything is processor time of the thread, on one processor, medians over the run, without the benchmark's own clock.
 
 "cold" walks through 4 MB between two ticks, as the other processes of a machine do while the loop sleeps. The daemon's ticks are cold ones.
-
-With `--against` the same is measured on another tree of palpd (`git worktree add ../before COMMIT`), 50 ticks there and 50 here in turns,
-so that both meet the same other work of the machine; the table holds both and their ratio.
 """
 
 import argparse
 import gc
-import json
 import os
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +23,8 @@ RATES_Hz = {125: "ur5", 500: "ur5e"}
 COLD_BYTES = 4_000_000
 COLD_TICKS = 1500
 """Length of a run of cold ticks: each walk takes a millisecond."""
-TURN_TICKS = 50
 REPLAYS = 3
 PLAN = {"depths_m": [0.006], "mode": "dynamic", "repeats": 1}
-Turns = Generator[None, None, dict[str, float]]
 FOOTER = {"verdict": "done", "reason": "", "trips": [], "ticks": 0, "missed": 0}
 
 
@@ -175,8 +167,8 @@ def packet(counter: int, counts: list[int]) -> bytes:
     return body + (sum(body) & 0xFFFF).to_bytes(2, "big")
 
 
-def measure(recording: Any, cold: bool) -> Turns:
-    """Medians of a run of the loop over this recording, in µs; yields between two turns."""
+def measure(recording: Any, cold: bool) -> dict[str, float]:
+    """Medians of a run of the loop over this recording, in µs."""
     from palpd.config import parse_config, parse_plan
     from palpd.control.inertial import InertialModel
     from palpd.control.loop import Loop
@@ -266,15 +258,14 @@ def measure(recording: Any, cold: bool) -> Turns:
     gc.freeze()
     gc.disable()
     while at[0] + 1 < len(rows) and loop.tick():
-        if at[0] % TURN_TICKS == 0:
-            yield
+        pass
     gc.enable()
     ring.close()
     ring.unlink()
     return marks.medians_us()
 
 
-def figures_of(path: Path) -> Turns:
+def figures_of(path: Path) -> dict[str, float]:
     """The medians with hot and with cold caches, and the best processor time of a replay in multiples of real time."""
     from palpd.daemon.replay import replay
     from palpd.recording.reader import Recording
@@ -282,11 +273,9 @@ def figures_of(path: Path) -> Turns:
     recording = Recording.load(path)
     figures = {}
     for caches in ("hot", "cold"):
-        medians_us = yield from measure(recording, caches == "cold")
-        figures |= {f"{part} | {caches}": us for part, us in medians_us.items()}
+        figures |= {f"{part} | {caches}": us for part, us in measure(recording, caches == "cold").items()}
     took_s = []
     for _ in range(REPLAYS):
-        yield
         began_s = time.thread_time()
         again = replay(recording)
         took_s.append(time.thread_time() - began_s)
@@ -295,83 +284,30 @@ def figures_of(path: Path) -> Turns:
     return figures
 
 
-def serve(path: Path) -> None:
-    """Measure a turn for each line of the standard input; the last answer holds the figures."""
-    turns = figures_of(path)
-    for _ in sys.stdin:
-        try:
-            next(turns)
-            print(flush=True)
-        except StopIteration as done:
-            print(json.dumps(done.value), flush=True)
-
-
-# --- the table ----------------------------------------------------------------------------------------------------------------
-
-
-def in_turns(trees: list[str], path: Path) -> list[dict[str, float]]:
-    """The figures of one process for each tree, from which it imports palpd; only one of them runs at a time."""
-    command = [sys.executable, __file__, "--measure", str(path)]
-    children = [
-        subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tree,
-            env=os.environ | {"PYTHONPATH": tree, "OMP_NUM_THREADS": "1"},
-        )
-        for tree in trees
-    ]  # fmt: skip
-    figures: dict[int, dict[str, float]] = {}
-    while len(figures) < len(children):
-        for number, each in enumerate(children):
-            if number not in figures:
-                assert each.stdin is not None
-                assert each.stdout is not None
-                each.stdin.write("\n")
-                each.stdin.flush()
-                answer = each.stdout.readline()
-                if not answer:
-                    raise SystemExit(f"the measurement in {trees[number]} failed")
-                if answer.strip():
-                    figures[number] = json.loads(answer)
-    for each in children:
-        each.communicate()
-    return [figures[number] for number in range(len(children))]
-
-
-def table(trees: list[str], paths: dict[int, Path], rounds: int) -> str:
-    """Markdown: µs for each part; with two trees also the other's and the ratio."""
+def table(paths: dict[int, Path], rounds: int) -> str:
+    """Markdown: µs for each part."""
     lines = ["| loop | part | caches | µs |", "|---|---|---|---|"]
-    if len(trees) > 1:
-        lines = ["| loop | part | caches | before, µs | after, µs | gain |", "|---|---|---|---|---|---|"]
     for rate_Hz, path in paths.items():
-        measured = [in_turns(trees, path) for _ in range(rounds)]
-        for part in measured[0][0]:
-            speed = part.startswith("replay")
-            cells = [float(np.median([figures[number][part] for figures in measured])) for number in range(len(trees))]
-            shown = [f"{cell:.0f} × real time" if speed else f"{cell:.1f}" for cell in reversed(cells)]
-            if len(cells) > 1:
-                shown.append(f"{cells[0] / cells[1] if speed else cells[1] / cells[0]:.2f} ×")
-            lines.append(f"| {rate_Hz} Hz | {part} | {' | '.join(shown)} |")
+        measured = [figures_of(path) for _ in range(rounds)]
+        for part in measured[0]:
+            median = float(np.median([figures[part] for figures in measured]))
+            shown = f"{median:.0f} × real time" if part.startswith("replay") else f"{median:.1f}"
+            lines.append(f"| {rate_Hz} Hz | {part} | {shown} |")
     return "\n".join(lines)
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--against", metavar="TREE", help="another tree of palpd")
     parser.add_argument("--rounds", type=int, default=3, help="runs of each; the median counts")
     parser.add_argument("--folder", type=Path, help="keeps the recordings there, and takes them from there")
-    parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
-    if options.measure:
-        serve(options.measure)
-        return
     os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     with tempfile.TemporaryDirectory() as name:
         folder = options.folder or Path(name)
         folder.mkdir(exist_ok=True)
         paths = {rate: path if (path := folder / f"{rate}.mcap").exists() else record(folder, rate) for rate in RATES_Hz}
-        trees = [str(Path(__file__).parents[1])] + ([options.against] if options.against else [])
-        print(table(trees, paths, options.rounds))
+        print(table(paths, options.rounds))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ much of a flood is this computer's: both come from it, and take its processors.
 
 import argparse
 import json
-import os
 import signal
 import socket
 import subprocess
@@ -27,11 +26,11 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from benchmarks.abort import served
-from benchmarks.operator_page import COUNT_FRAMES, PageServer, frame_counts, free_port, opened_pages, page_server
+from benchmarks.operator_page import COUNT_FRAMES, PageServer, frame_counts, opened_pages, page_server
 from palpd.daemon.socket_client import ask
 from palpd.recording.reader import Recording
 from palpd.testing.emulated_cell import ABOVE_M, PRESS, EmulatedCell
-from palpd.testing.processes import until
+from palpd.testing.processes import free_port, processor_s, resident_MB, until
 from palpd.tick import Phase
 
 ALONE, OTHER, FLOODED = "no page", "another server flooded, no page", "server flooded"
@@ -125,17 +124,6 @@ def finished_run(path: Path) -> RunFigures:
     late_us = np.maximum((rows["now_s"] - rows["planned_s"]) * 1e6, 0.0)
     p50_us, p99_us = np.percentile(late_us, [50, 99])
     return RunFigures(len(rows), int(rows["missed"].sum()), float(p50_us), float(p99_us), f"{last['verdict']} {last['reason']}".strip())
-
-
-def processor_s(pid: int) -> float:
-    """Processor time that a process has used."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def resident_MB(pid: int) -> float:
-    """Memory of a process."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def with_pages(cell: EmulatedCell, path: Path, number: int, seconds: float) -> tuple[RunFigures, PageFigures]:

@@ -130,11 +130,6 @@ class UrReader:
             self._lost = True
         return not self._lost
 
-    @property
-    def arrival_phase_s(self) -> float:
-        """Host time of the arrival of frames, modulo the frame period."""
-        return self._clock.host_s(self._timestamp_s) % self.period_s
-
     def read(self) -> RobotState:
         """Return the newest untorn state without waiting. An old state looks like any other: judge its age by `t_s`."""
         receive = self._receive
@@ -240,11 +235,6 @@ class UrRobot:
         return not self._lost
 
     @property
-    def arrival_phase_s(self) -> float:
-        """Host time of the arrival of frames, modulo the frame period."""
-        return self._reader.arrival_phase_s
-
-    @property
     def period_s(self) -> float:
         """Time between two frames."""
         return self._reader.period_s
@@ -312,26 +302,6 @@ class UrRobot:
             elif self._armed:
                 self._control.kickWatchdog()
                 self._fed_s = time.monotonic()
-
-    def rearm(self) -> None:
-        """Upload the control script again after the controller stopped it, and set the watchdog again. The arm stands still.
-
-        For use after an operator cleared a protective stop by hand: the robot's maker forbids clearing it by program. RobotError when the
-        controller is not ready, or when the connection was lost: then only a new process may connect again.
-        """
-        self._refuse_lost()
-        _refuse_unready(self._reader.read(), self.host)
-        self._armed = self._moving = False
-        if self._reader.read().runtime_state != PROGRAM_PLAYING:
-            _bounded(self._control.reuploadScript, _UPLOAD_TIMEOUT_S)
-            until_s = time.monotonic() + _UPLOAD_TIMEOUT_S
-            # two connections: the control object may learn of the running program later than the reader, and would refuse a command
-            while self._reader.read().runtime_state != PROGRAM_PLAYING or not self._control.isProgramRunning():
-                if time.monotonic() > until_s:
-                    raise RobotError(self._why_not("does not start the control script again"))
-                time.sleep(0.01)
-        self._set_tcp()
-        self.arm()
 
     def end(self) -> None:
         """Stop and end the control script, at most 5 s. Never raises. For a process that ends next, and its connections with it."""
@@ -448,7 +418,6 @@ _NO_ANSWER = (
 _TRIES = 20
 _GRACE_S = 0.05  # for a call of the library that sees by itself, some cycles later, that it cannot be answered
 _PRIORITY_UNTOUCHED = -1  # else the library takes FIFO 90 for the thread that constructs, which is the loop's
-_UPLOAD_TIMEOUT_S = 6.0
 
 
 def _connect(host: str, port: int) -> socket.socket:

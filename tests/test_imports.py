@@ -17,7 +17,7 @@ OF_BENCHMARKS = {
     "browser/test_setup.py": {"setup"},
     "cli/test_fuzz_lines.py": {"fuzz_commands"},
     "cli/test_output_options.py": {"fuzz_commands"},
-    "daemon/test_demo.py": {"law_demos"},
+    "daemon/test_demo.py": {"law_demos", "marked_text"},
     "hil/test_after_a_run.py": {"after_a_run"},
     "hil/test_arming.py": {"arming"},
     "hil/test_faults.py": {"fault_injection"},

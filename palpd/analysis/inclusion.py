@@ -78,8 +78,6 @@ def find_inclusion(
     *,
     surface_sigma_m: float = SURFACE_SIGMA_M,
     force_sigma_N: float = FORCE_SIGMA_N,
-    classes_m: Sequence[float] = DEPTHS_M,
-    prior: float = PRIOR,
 ) -> Inclusion:
     """Compare plain tissue with an inclusion in each class of depth on the holds of one site.
 
@@ -89,8 +87,6 @@ def find_inclusion(
         depth_m: Depths (n,) of the holds below the surface, in m.
         force_N: Forces (n,) of the holds, in N.
         surface_sigma_m: One sigma of the height of the surface.
-        classes_m: Depths of inclusions that are compared, in m.
-        prior: Probability of an inclusion before the presses.
 
     Returns:
         Probability, depth and contrast of an inclusion.
@@ -117,21 +113,21 @@ def find_inclusion(
         return np.asarray(np.sum(np.exp(-0.5 * np.sum((log_stiffness - mean) ** 2 * weights, axis=-1)) * weight_of_shift, axis=-1))
 
     plain = float(evidence(np.ones((1, *true_m.shape)))[0])
-    by_class = {D: evidence(stiffening(true_m, D, CONTRASTS[:, None, None])) for D in classes_m}
+    by_class = {D: evidence(stiffening(true_m, D, CONTRASTS[:, None, None])) for D in DEPTHS_M}
     total = float(np.mean([values.mean() for values in by_class.values()]))
     warnings = []
     if plain + total <= 0.0:
-        nothing = dict.fromkeys(classes_m, 0.0)
+        nothing = dict.fromkeys(DEPTHS_M, 0.0)
         return Inclusion(0.5, nothing, math.nan, (math.nan, math.nan), ("neither plain tissue nor an inclusion fits these holds",))
-    probability = prior * total / (prior * total + (1.0 - prior) * plain)
+    probability = PRIOR * total / (PRIOR * total + (1.0 - PRIOR) * plain)
     if total > 0.0:
         shares = {D: float(values.sum()) for D, values in by_class.items()}
         summed = np.sum(list(by_class.values()), axis=0)
     else:
-        shares, summed = dict.fromkeys(classes_m, 1.0), np.ones(len(CONTRASTS))
+        shares, summed = dict.fromkeys(DEPTHS_M, 1.0), np.ones(len(CONTRASTS))
     cumulative = np.cumsum(summed) / summed.sum()
     low, middle, high = (float(CONTRASTS[int(np.searchsorted(cumulative, q))]) for q in (0.025, 0.5, 0.975))
-    if float(d.max()) < 0.5 * min(classes_m):
-        warnings.append(f"the deepest hold is {d.max() * 1e3:.1f} mm, too shallow to feel an inclusion {min(classes_m) * 1e3:g} mm down")
+    if float(d.max()) < 0.5 * min(DEPTHS_M):
+        warnings.append(f"the deepest hold is {d.max() * 1e3:.1f} mm, too shallow to feel an inclusion {min(DEPTHS_M) * 1e3:g} mm down")
     norm = sum(shares.values())
     return Inclusion(probability, {D: share / norm for D, share in shares.items()}, middle, (low, high), tuple(warnings))

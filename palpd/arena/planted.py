@@ -62,7 +62,7 @@ def plant(
     bare = {**recording, "fz_N": smooth(recording["fz_N"])}
     neighbours = [LAWS[f"cable.{name}"] for name in ("spring", "friction", "viscous")] if chosen.effect == "unknown" else []
     free = [neighbour.change(recording, {neighbour.size: 1.0}) for neighbour in neighbours]
-    snr_of = snr_against(bare, {}, sigma_N=sigma_N, free=free)
+    snr_of = snr_against(bare, sigma_N=sigma_N, free=free)
     below, above, goal, power = float(np.log(SMALLEST)), 0.0, np.inf, 0.0
     for attempt in range(ATTEMPTS):
         parameters = {**largest, chosen.size: chosen.resize(largest[chosen.size], float(np.exp(power)))}

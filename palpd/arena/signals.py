@@ -119,38 +119,29 @@ def contact(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
     return depth_m, np.where(touching, np.maximum(force_N, 0), 0), slope
 
 
-def snr_against(
-    healthy: Recording, tolerances: Mapping[str, float], *, sigma_N: float | None = None, free: Sequence[FloatArray] = ()
-) -> Callable[[Recording], float]:
+def snr_against(healthy: Recording, *, sigma_N: float, free: Sequence[FloatArray] = ()) -> Callable[[Recording], float]:
     """Make the function that gives the SNR of an effect (docs/reference/contract.md) for recordings that belong to one healthy recording.
 
     It is the norm of the change of fz over means of 20 ms, less the best healthy deviation. Each mean counts in its own standard deviation.
     Deviations are subtracted by least squares, each at the cost of its size over its tolerance: an effect of one tolerance has an SNR of at
-    most 1. A changed height counts with the slope of the recorded contact. Rows that are NaN count as not changed.
+    most 1. The tolerances are the defaults of a cell file. Mass and heights have none, as these need a scale of the rig; that of the filter
+    acts like latency. A changed height counts with the slope of the recorded contact. Rows that are NaN count as not changed.
 
     Args:
         healthy: Columns (n,). Where a law moves noise too, smooth fz in both recordings and give `sigma_N`.
-        tolerances: Keys as under `tolerances` of a cell file, and `repeatability.stiffness`, `repeatability.surface_z_m`. Absent ones take
-            its defaults; mass and heights then have none, as these need a scale of the rig. That of the filter acts like latency and is
-            left out.
-        sigma_N: Noise of a sample; None: that of `healthy`.
+        sigma_N: Noise of a sample.
         free: Further changes in N (n,) that are subtracted at no cost.
 
     Raises:
         PlantingRefusedError: If the noise is 0.
     """
-    sigma_N = noise_N(healthy) if sigma_N is None else sigma_N
     if not sigma_N > 0:
         raise PlantingRefusedError(f"the noise of fz is {sigma_N} N, but more than 0 is expected; state sigma_N")
-    stated = {"bias_N": 0.4 * sigma_N, "drift_N_per_min": 0.2 * sigma_N, "gain": 0.005, "latency_s": 0.001, "youngs_modulus": 0.02}
-    stated |= {"mass_kg": 0.0, "surface_z_m": 0.0, "repeatability.stiffness": 0.01, "repeatability.surface_z_m": 0.0, **tolerances}
     t_s, force_N, (depth_m, pressed_N, slope) = healthy["t_s"], smooth(healthy["fz_N"]), contact(healthy)
-    shapes = {"bias_N": np.ones_like(t_s), "drift_N_per_min": (t_s - t_s[0]) / 60, "gain": force_N, "latency_s": np.gradient(force_N, t_s)}
-    shapes |= {"mass_kg": motion(healthy)[1], "youngs_modulus": pressed_N, "surface_z_m": slope}
-    columns = [shape * stated[key] for key, shape in shapes.items()]
+    columns = [np.full_like(t_s, 0.4 * sigma_N), 0.2 * sigma_N * (t_s - t_s[0]) / 60]  # bias, drift
+    columns += [0.005 * force_N, 0.001 * np.gradient(force_N, t_s), 0.02 * pressed_N]  # gain, latency, modulus
     press = np.cumsum(np.diff(depth_m > 0, prepend=False) & (depth_m > 0))
-    for shape in (pressed_N * stated["repeatability.stiffness"], slope * stated["repeatability.surface_z_m"]):
-        columns += [np.where(press == number, shape, 0) for number in range(1, press[-1] + 1) if shape.any()]
+    columns += [np.where(press == number, 0.01 * pressed_N, 0) for number in range(1, press[-1] + 1) if pressed_N.any()]
     place = np.unique(((t_s - t_s[0]) / MEAN_S).astype(int), return_inverse=True)[1]
     scale = sigma_N * np.sqrt(np.bincount(place))
     whitened = [np.bincount(place, column) / scale for column in (*columns, *free)]

@@ -122,11 +122,10 @@ def modulus_trend_table(points: "Sequence[ModulusPoint]", site: str) -> Table:
         points: Oldest first.
     """
     table = _table(f"Site {printable(site)} over the days, kPa ± 95 %", "began", "run", "static", "dynamic", "corrected")
-    for point in points:
-        of = point.moduli
+    for run, of in points:
         static = _modulus(of.static_Pa, of.static_ci95_Pa, of.hertz_misfit)
         corrected = _modulus(of.corrected_Pa, of.corrected_ci95_Pa, of.hertz_misfit)
-        _row(table, when(point.started)[:16], point.run, static, kilopascals(of.dynamic_Pa), corrected)
+        _row(table, when(run.started)[:16], run.name, static, kilopascals(of.dynamic_Pa), corrected)
     table.caption = STAR_MEANS if any(point.moduli.hertz_misfit for point in points) else None
     return table
 

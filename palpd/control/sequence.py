@@ -726,20 +726,15 @@ def _level(track: deque[tuple[float, float]]) -> bool:
 class FreeMotion(Script):
     """Moves 2 cm up and down in free air, ten times: the training data of the inertial model."""
 
-    def __init__(self, arm: ArmGeometry, cycles: int = FREE_CYCLES, speed_m_per_s: float = FREE_SPEED_M_PER_S) -> None:
-        super().__init__(arm)
-        self.cycles = cycles
-        self.speed_m_per_s = min(speed_m_per_s, arm.max_speed_m_per_s)
-
     def run(self) -> Steps:
         """Run all cycles and end where they began."""
         self.note(phase=Phase.BASELINE, mode=Mode.FREE_MOTION)
         yield from self.wait(BASELINE_S)
         self.note(phase=Phase.FREE_MOTION)
-        for cycle in range(self.cycles):
+        for cycle in range(FREE_CYCLES):
             self.note(repeat=cycle)
             for z_m in (self.home[2] + FREE_STROKE_M, self.home[2]):
-                yield from self.go_to(z_m, self.speed_m_per_s)
+                yield from self.go_to(z_m, min(FREE_SPEED_M_PER_S, self.arm.max_speed_m_per_s))
                 yield from self.come_to_rest()
 
 

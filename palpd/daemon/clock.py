@@ -43,15 +43,14 @@ class RealClock:
 class SimClock:
     """Ticks as fast as they are asked for, on a grid of simulated time."""
 
-    def __init__(self, rate_Hz: float, first_s: float = 0.0) -> None:
+    def __init__(self, rate_Hz: float) -> None:
         self._rate_Hz = rate_Hz
-        self._first_s = first_s
         self._index = -1
 
     def wait(self) -> Timing:
         """The next tick, without waiting."""
         self._index += 1
-        now_s = self._first_s + self._index / self._rate_Hz
+        now_s = self._index / self._rate_Hz
         return Timing(self._index, now_s, now_s)
 
     def elapsed_us(self) -> float:

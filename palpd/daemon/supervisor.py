@@ -559,12 +559,11 @@ def recording_name(kind: str) -> str:
     return f"{datetime.datetime.now():%Y%m%d-%H%M%S}-{kind.replace('_', '-')}"
 
 
-def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float = 0.02) -> Report:
+def wait(run: JobRun, on_poll: Callable[[], None] | None = None) -> Report:
     """Poll a run until it is over. If `on_poll` fails, the run is aborted, and the error raised when the arm is at rest.
 
     Args:
         on_poll: Called after each poll that found the run still under way; None: no call.
-        poll_s: Pause between two polls.
 
     Returns:
         How the run ended.
@@ -583,7 +582,7 @@ def wait(run: JobRun, on_poll: Callable[[], None] | None = None, poll_s: float =
             except PalpdError as error:
                 run.ask(Request.ABORT, str(error))
                 failure, on_poll = error, None
-        time.sleep(poll_s)
+        time.sleep(0.02)
     if failure is not None:
         raise failure
     return report

@@ -249,15 +249,15 @@ def draw_trend(figure: Drawing, points: Mapping[str, Sequence[ModulusPoint]], be
     """
     sites = dict(list(points.items())[:MOST_SITES])
     grid = _grid(figure, list(sites), "days since the first", "E (kPa)", sharey=False)
-    day_0_s = min(point.started_s for of_site in sites.values() for point in of_site)
+    day_0_s = min(point.run.started_s for of_site in sites.values() for point in of_site)
     for axes, of_site in zip(grid, sites.values(), strict=True):
         for value, interval, colour, label in TRENDS:
             known = [(point, modulus_Pa) for point in of_site if (modulus_Pa := value(point.moduli)) is not None]
-            days = np.array([(point.started_s - day_0_s) / SECONDS_A_DAY for point, _ in known])
+            days = np.array([(point.run.started_s - day_0_s) / SECONDS_A_DAY for point, _ in known])
             values = np.array([modulus_Pa / 1e3 for _, modulus_Pa in known])
             bars = _bars(values.tolist(), [interval(point.moduli) for point, _ in known])
             axes.errorbar(days, values, bars, fmt="o-", color=colour, markersize=3.5, linewidth=0.8, capsize=2, label=label)
-            mine = np.array([point.started_s == began_s for point, _ in known], bool)
+            mine = np.array([point.run.started_s == began_s for point, _ in known], bool)
             axes.plot(days[mine], values[mine], "o", markerfacecolor="none", markeredgecolor=INK, markersize=9)
     _legend(figure, grid)
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,13 @@ MODULI: dict[Quantity, Callable[[SiteModuli], float | None]] = {
     "dynamic": lambda site: site.dynamic_Pa,
     "corrected": lambda site: site.corrected_Pa,
 }
+OTHER_CAUSES = {
+    "config_sha256": "configuration",
+    "model_sha256": "inertial model",
+    "machine_stiffness_N_per_m": "stiffness of the machine",
+    "sensor_serial": "sensor",
+}
+"""What of a run may change its moduli besides the tissue, and its name in a note."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,18 +43,11 @@ class Slope:
     days: float
 
 
-@dataclass(frozen=True, slots=True)
-class ModulusPoint:
-    """A site in one run, and what else may change its moduli."""
+class ModulusPoint(NamedTuple):
+    """A run, and the moduli of a site in it."""
 
-    run: str
-    started: str
-    started_s: float
+    run: RunEntry
     moduli: SiteModuli
-    config_sha256: str | None = None
-    model_sha256: str | None = None
-    machine_stiffness_N_per_m: float | None = None
-    sensor_serial: str | None = None
 
 
 def modulus_points(entries: Sequence[RunEntry], site: str) -> list[ModulusPoint]:
@@ -59,22 +59,9 @@ def modulus_points(entries: Sequence[RunEntry], site: str) -> list[ModulusPoint]
     Returns:
         One point a run that has pressed it.
     """
-    points = [
-        ModulusPoint(
-            run.name,
-            run.started,
-            run.started_s,
-            each,
-            run.config_sha256,
-            run.model_sha256,
-            run.machine_stiffness_N_per_m,
-            run.sensor_serial,
-        )
-        for run in entries
-        for each in run.sites
-        if each.site == site
-    ]
-    return sorted((point for point in points if any(value(point.moduli) for value in MODULI.values())), key=lambda point: point.started_s)
+    points = (ModulusPoint(run, moduli) for run in entries for moduli in run.sites if moduli.site == site)
+    known = (point for point in points if any(value(point.moduli) for value in MODULI.values()))
+    return sorted(known, key=lambda point: point.run.started_s)
 
 
 def modulus_trend(catalogue: Catalogue, site: str, only: RunFilter) -> tuple[list[ModulusPoint], dict[Quantity, Slope]]:
@@ -91,7 +78,7 @@ def modulus_trend(catalogue: Catalogue, site: str, only: RunFilter) -> tuple[lis
     slopes: dict[Quantity, Slope] = {}
     for quantity, value in MODULI.items():
         # a copy of a recording began when the recording did, and is no further evidence
-        known = {point.started_s: modulus_Pa for point in points if (modulus_Pa := value(point.moduli)) is not None}
+        known = {point.run.started_s: modulus_Pa for point in points if (modulus_Pa := value(point.moduli)) is not None}
         if (slope := slope_of(list(known.items()))) is not None:
             slopes[quantity] = slope
     return points, slopes
@@ -107,15 +94,10 @@ def change_notes(points: Sequence[ModulusPoint]) -> list[str]:
         One sentence each for configuration, inertial model, stiffness of the machine and sensor, where it changed.
     """
     notes = []
-    for what, values in (
-        ("configuration", [point.config_sha256 for point in points]),
-        ("inertial model", [point.model_sha256 for point in points]),
-        ("stiffness of the machine", [point.machine_stiffness_N_per_m for point in points]),
-        ("sensor", [point.sensor_serial for point in points]),
-    ):
-        changes = [number for number, (one, other) in enumerate(pairwise(values)) if one != other]
+    for key, what in OTHER_CAUSES.items():
+        changes = [(a.run.name, b.run.name) for a, b in pairwise(points) if getattr(a.run, key) != getattr(b.run, key)]
         if changes:
-            before, after = points[changes[-1]].run, points[changes[-1] + 1].run
+            before, after = changes[-1]
             notes.append(
                 f"the {what} changed within this trend, last before {after} (changes: {len(changes)}), so the line may show that and not "
                 f"the tissue; palpd report {after} --beside {before} says what differs"
@@ -183,7 +165,11 @@ def trend_as_json(
     return {
         "site": site,
         "notes": change_notes(points),
-        "runs": as_json(points),
+        "runs": [
+            {"run": run.name, "started": run.started, "started_s": run.started_s, "moduli": as_json(moduli)}
+            | {key: getattr(run, key) for key in OTHER_CAUSES}
+            for run, moduli in points
+        ],
         "slopes": as_json(slopes),
         "effects": [
             {"effect": effect, "parameter": parameter, "points": as_json(of), "slope": as_json(slope)}

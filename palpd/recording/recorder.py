@@ -32,27 +32,6 @@ class Recorder:
         self._part_is_ours = False
 
     @classmethod
-    def start(cls, ring: Ring, path: Path, header: RecordingHeader, model_bytes: bytes | None = None, timeout_s: float = 20.0) -> Self:
-        """Start recording every row published from now on, and wait until the file is open and holds the header.
-
-        Args:
-            ring: where the loop writes.
-            path: FILE.mcap to write.
-            header: what the recording holds besides its ticks.
-            model_bytes: the inertial model in use, if any.
-            timeout_s: how long the recorder may take.
-
-        Returns:
-            The recorder.
-
-        Raises:
-            RecordingError: the file cannot be written.
-        """
-        recorder = cls.begin(ring, path, header, model_bytes)
-        recorder.confirm(timeout_s)
-        return recorder
-
-    @classmethod
     def begin(
         cls, ring: Ring, path: Path, header: RecordingHeader, model_bytes: bytes | None = None, planted: SealedAnswer | None = None
     ) -> Self:
@@ -228,7 +207,7 @@ def _empty_into(writer: RecordingWriter, ring: Ring, cursor: int, pipe: Connecti
 
 
 def main() -> None:
-    """Run the recorder as `Recorder.start` starts it: `python -m palpd.recording.recorder RING DESCRIPTOR`."""
+    """Run the recorder as `Recorder.begin` starts it: `python -m palpd.recording.recorder RING DESCRIPTOR`."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # these reach all of palpd; the supervisor closes the recording
         signal.signal(number, signal.SIG_IGN)
     ring = Ring.attach(sys.argv[1])

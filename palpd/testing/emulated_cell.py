@@ -160,6 +160,12 @@ class EmulatedCell:
         command = [sys.executable, "-m", "palpd", *map(str, arguments)]
         return subprocess.run(command, capture_output=True, text=True, timeout=patience_s, check=False)
 
+    def calibrate(self, patience_s: float = PATIENCE_S) -> Path:
+        """Take a reference tare, and return its file. Raises AssertionError with what the command said."""
+        done = self.palpd("calibrate", "--config", self.config, patience_s=patience_s)
+        assert done.returncode == 0, done.stderr
+        return self.folder / "state" / "calibration.json"
+
     def run(self, plan: dict[str, Any], take_reference: bool = True) -> Daemon:
         """`palpd run` of a plan, under way; the reference tare is taken at its start, or the kept one used."""
         plan_file, json_file = self.folder / "plan.yaml", self.folder / "run.json"

@@ -88,7 +88,7 @@ def test_a_law_is_planted_at_the_snr_and_on_the_steps_of_the_recording(law: str)
     assert 8 <= planted.snr <= 12
     assert rounding_step(planted.columns["fz_N"]) == pytest.approx(STEP_N)
     assert noise_N(planted.columns) == pytest.approx(noise_N(NOISY), rel=0.25)
-    chosen, snr_of = LAWS[law], snr_against(CLEAN, {}, sigma_N=0.03)
+    chosen, snr_of = LAWS[law], snr_against(CLEAN, sigma_N=0.03)
     sizes = [{**planted.parameters, chosen.size: chosen.resize(planted.parameters[chosen.size], share)} for share in (1e-6, 0.3, 1)]
     none, small, full = (snr_of({**CLEAN, **chosen.apply(CLEAN, size)}) for size in sizes)
     assert none < 0.1
@@ -103,10 +103,10 @@ def test_a_seed_gives_the_same_recording_and_a_row_without_change_stays() -> Non
 
 
 def test_snr_is_in_standard_deviations_and_at_most_one_within_a_tolerance() -> None:
-    none = {"youngs_modulus": 0, "repeatability.stiffness": 0}
-    assert snr_against(CLEAN, none, sigma_N=1e-3)({**CLEAN, "fz_N": 1.005 * F}) == pytest.approx(1, abs=0.3)
-    assert snr_against(CLEAN, {"bias_N": 0.001}, sigma_N=1e-3)({**CLEAN, "fz_N": F + 0.01}) == pytest.approx(10, abs=0.5)
-    assert snr_against(CLEAN, {}, sigma_N=0.01)({**CLEAN, "fz_N": F + 0.01 * np.sin(9 * T)}) == pytest.approx(np.sqrt(500), rel=0.02)
+    in_free_air = {name: CLEAN[name] for name in ("t_s", "z_m", "fz_N")}  # neither tissue nor presses, whose tolerances would cover a gain
+    assert snr_against(in_free_air, sigma_N=1e-3)({**in_free_air, "fz_N": 1.005 * F}) == pytest.approx(1, abs=0.3)
+    assert snr_against(CLEAN, sigma_N=1e-3)({**CLEAN, "fz_N": F + 0.004}) == pytest.approx(10, abs=0.5)
+    assert snr_against(CLEAN, sigma_N=0.01)({**CLEAN, "fz_N": F + 0.01 * np.sin(9 * T)}) == pytest.approx(np.sqrt(500), rel=0.02)
     assert noise_N(recording(0.03)) == pytest.approx(0.03, rel=0.1)
     assert noise_N(recording(1e-5, STEP_N)) == pytest.approx(STEP_N / np.sqrt(12))
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -16,10 +17,10 @@ import pytest
 
 from palpd.testing.emulated_cell import PATIENT, emulated_cell
 from palpd.testing.fixtures import skip_without_ur_rtde
-from palpd.testing.processes import until
+from palpd.testing.processes import free_port, until
+from palpd.testing.served_cell import ServedCell, served
 from palpd.web.sessions import SESSION_S, Sessions
-from tests.browser.waiting import PATIENCE_S, free_port, until_text
-from tests.hil.serving import Served, served
+from tests.browser.waiting import PATIENCE_S, until_text
 
 playwright_api: Any = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; pip install playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -42,7 +43,7 @@ UNHURRIED = PATIENT | {"safety": PATIENT["safety"] | {"robot_stale_s": 0.4, "sen
 class Pages:
     """The page's server, and browsers before it."""
 
-    service: Served
+    service: ServedCell
     chromium: Any
     shots: Path
     link: str = ""
@@ -72,15 +73,11 @@ class Pages:
 
     def kill_the_service(self) -> None:
         """As a crash does: nothing of it is left to stop the arm but the controller's watchdog."""
-        self.service.process.kill()
-        self.service.process.wait(30.0)
+        self.service.end(signal.SIGKILL)
 
     def serve_again(self) -> None:
         """Start the service as systemd does after a crash."""
-        with Path(self.service.cell.folder, "log.jsonl").open("ab") as log:
-            command = [sys.executable, "-m", "palpd", "serve", "--config", str(self.service.cell.config)]
-            self.service = Served(self.service.cell, subprocess.Popen(command, stderr=log))
-        self.service.until_disarmed(PATIENCE_S)
+        self.service.begin()
 
     def stop(self) -> None:
         """End the server by force: a page that hangs must not hold a test."""
@@ -137,8 +134,6 @@ def all_pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Pages]:
         pages.start()
         yield pages
         pages.stop()
-        pages.service.process.terminate()  # it may be another than the first
-        pages.service.process.wait(30.0)
         chromium.close()
 
 

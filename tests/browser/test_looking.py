@@ -17,7 +17,8 @@ import pytest
 
 from palpd.config import parse_plan
 from palpd.history.remarks import remark
-from tests.browser.waiting import free_port, nothing_for_axe
+from palpd.testing.processes import free_port
+from tests.browser.waiting import nothing_for_axe
 from tests.history.conftest import simulated
 from tests.paths import ROOT
 from tests.web.fake_resolve import PROPOSAL, FakeResolve

@@ -20,10 +20,10 @@ import pytest
 
 from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon.what_now import Standing
-from palpd.testing.processes import until
+from palpd.testing.processes import free_port, until
 from palpd.tick import Mode, Phase
 from palpd.web.sessions import SESSION_S, Sessions
-from tests.browser.waiting import PATIENCE_S, above, free_port, until_text
+from tests.browser.waiting import PATIENCE_S, above, until_text
 from tests.web.fake_service import FakeService
 
 playwright_api: Any = pytest.importorskip("playwright.sync_api", reason="playwright is not installed; pip install playwright")

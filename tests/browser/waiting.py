@@ -1,8 +1,6 @@
 """Waiting for what a page shows, from outside: the page's policy refuses the `eval` of Playwright's `wait_for_function`."""
 
-import socket
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +8,6 @@ from palpd.testing.processes import until
 
 PATIENCE_S = 300.0
 """For a machine that does other things besides: the tests look at order and content, not at time."""
-
-
-def free_port() -> int:
-    """A port of this computer that nobody listens at."""
-    with closing(socket.socket()) as listener:
-        listener.bind(("127.0.0.1", 0))
-        return int(listener.getsockname()[1])
 
 
 def until_text(page: Any, selector: str, true: Callable[[str], bool] | str) -> str:

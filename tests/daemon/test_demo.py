@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.law_demos import BEGIN, END, LawDemo, table, with_table
+from benchmarks.law_demos import LawDemo, table
+from benchmarks.marked_text import parted, write_marked
 from hw.emulators.controller_state import MODELS
 from hw.emulators.rig import Rig
 from palpd.cell.cell_file import load_cell, nominal, save_cell
@@ -65,10 +66,11 @@ def test_a_law_outside_the_list_is_found_and_closes_the_gap_on_another_motion(tm
     assert "repeating every 2.5 mm, in m <code>x</code>" in page
 
 
-def test_the_table_of_laws_stands_between_its_marks() -> None:
+def test_the_table_of_laws_stands_between_its_marks(tmp_path: Path) -> None:
     row = LawDemo("cogging", "a gear", "unknown", "an added force", "0.1 * x", 0.97, 12.0)
-    page = (ROOT / "docs" / "outside-the-list.md").read_text(encoding="utf-8")
-    text = with_table(page, table([row]))
-    assert "| [a gear](examples/laws/cogging.yaml) | an added force | `0.1 * x` | 97% | 12 |" in text
-    assert text.partition(BEGIN)[0] == page.partition(BEGIN)[0]
-    assert text.partition(END)[2] == page.partition(END)[2] != ""
+    page, copy = (ROOT / "docs" / "outside-the-list.md").read_text(encoding="utf-8"), tmp_path / "page.md"
+    copy.write_text(page, encoding="utf-8")
+    write_marked(copy, "laws", table([row]))
+    before, text, after = parted(copy.read_text(encoding="utf-8"), "laws")
+    assert text.splitlines()[2:] == ["| [a gear](examples/laws/cogging.yaml) | an added force | `0.1 * x` | 97% | 12 |"]
+    assert (before, after) == parted(page, "laws")[::2]

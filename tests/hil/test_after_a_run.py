@@ -6,12 +6,13 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-from benchmarks.after_a_run import COMMANDS, ENDS, PAGE, ServedCell, filled, rows_of, served
+from benchmarks.after_a_run import COMMANDS, ENDS, PAGE, filled, rows_of
 from palpd.errors import Refused
 from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell
 from palpd.testing.fixtures import skip_without_ur_rtde
 from palpd.testing.operator import Operator
 from palpd.testing.processes import until
+from palpd.testing.served_cell import ServedCell, served
 from tests.paths import ROOT
 
 pytestmark = pytest.mark.hil
@@ -38,14 +39,13 @@ def test_on_monday_every_screen_says_the_same_of_a_probe_that_was_left_in_the_ti
         ENDS["power lost"](service)
         service.end()
         wired.blocks["cell"] = {"probe": {"mass_kg": 0.25}}
-        service.config = wired.config
         wired.wires.ask("drift", N_per_s=0.3)
         service.begin()
         wired.wires.ask("drift", N_per_s=1e-9)  # 0 would warm it up at once
         shown = service.status()["probe"]
         assert shown["state"] == "pressed", shown
         assert COMMANDS["doctor"](service) == "pressed"
-        printed = wired.palpd("status", "--config", service.config).stdout
+        printed = wired.palpd("status", "--config", wired.config).stdout
         assert "The probe is pressed" in printed
         assert "palpd retract leaves the tissue" in printed
         assert COMMANDS["calibrate"](service) == "refused: pressed"
@@ -82,7 +82,7 @@ def test_a_start_over_another_site_after_an_abort_is_asked_about_and_goes_back(c
 
 
 def _until_site(service: ServedCell, number: int) -> None:
-    pressing = lambda: service.status().get("site") == number and service.wired.truth()["contact_N"] > 1.0  # noqa: E731
+    pressing = lambda: service.status().get("site") == number and service.cell.truth()["contact_N"] > 1.0  # noqa: E731
     until(pressing, f"the probe presses at site {number}")
 
 

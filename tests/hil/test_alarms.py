@@ -12,7 +12,7 @@ from palpd.streams.alarms import Alarms
 from palpd.testing.emulated_cell import PATIENT, EmulatedCell
 from palpd.testing.http_sink import listening
 from palpd.testing.processes import until
-from tests.hil.serving import served
+from palpd.testing.served_cell import served
 
 pytestmark = pytest.mark.hil
 

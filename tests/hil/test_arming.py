@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.arming import ARMING_FAULTS, failed_arming, fresh, objection, prepared, required
+from benchmarks.arming import ARMING_FAULTS, failed_arming, fresh, objection, required
 from palpd.testing.emulated_cell import EmulatedCell, emulated_cell, retry_if_machine_stalled
 from palpd.testing.fixtures import skip_without_ur_rtde
 
@@ -23,7 +23,7 @@ def test_every_fault_has_a_row() -> None:
 def calibrated(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[EmulatedCell, str]]:
     skip_without_ur_rtde()
     with emulated_cell(tmp_path_factory.mktemp(request.param), request.param) as base:
-        yield base, prepared(base)
+        yield base, base.anew(base.folder).calibrate().read_text()
 
 
 @pytest.mark.parametrize(("calibrated", "fault"), [(kind.model, fault) for fault, kind in ARMING_FAULTS.items()], indirect=["calibrated"])

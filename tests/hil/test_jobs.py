@@ -15,21 +15,21 @@ from palpd.errors import Refused
 from palpd.recording.reader import Recording
 from palpd.testing.emulated_cell import PATIENT, EmulatedCell
 from palpd.testing.processes import command_of, until
+from palpd.testing.served_cell import ServedCell, served
 from palpd.tick import Phase
-from tests.hil.serving import Served, served
 
 pytestmark = pytest.mark.hil
 
 FIELD = {"width_m": 0.01, "height_m": 0.01, "depth_m": 0.004, "most_presses": 3}
 
 
-def worker_of(service: Served) -> int:
+def worker_of(service: ServedCell) -> int:
     """The worker's process."""
     children = Path(f"/proc/{service.process.pid}/task/{service.process.pid}/children").read_text().split()
     return next(int(pid) for pid in children if "palpd.daemon.job_worker" in command_of(int(pid)))
 
 
-def ended(service: Served, job_id: str) -> dict[str, Any]:
+def ended(service: ServedCell, job_id: str) -> dict[str, Any]:
     """The job, when it is over."""
     until(lambda: service.do("job", id=job_id)["ended"] is not None, f"the job {job_id} is over", 120.0, every_s=0.05)
     return service.do("job", id=job_id)
@@ -120,7 +120,7 @@ def test_a_pause_in_the_tissue_retracts_and_a_resume_begins_the_press_again(cell
         assert json.loads((service.cell.folder / "replay.json").read_text())["decisions_identical"]
 
 
-def proposing(service: Served, recording: Path) -> dict[str, Any]:
+def proposing(service: ServedCell, recording: Path) -> dict[str, Any]:
     """A resolve of one recording, up to its proposal."""
     service.arm()
     stated = {"tissue": {"youngs_modulus_Pa": 72e3}}  # a modulus that nobody states is not known, and what hides in it no gap

@@ -9,7 +9,7 @@ import yaml
 from palpd.history.check_days import kept_checks
 from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_cell
 from palpd.testing.fixtures import skip_without_ur_rtde
-from tests.hil.serving import served
+from palpd.testing.served_cell import served
 
 pytestmark = pytest.mark.hil
 
@@ -25,7 +25,7 @@ def test_a_check_shows_puck_machine_and_play_and_lets_a_palpation_through(tmp_pa
     cell_file.write_text(yaml.safe_dump({"sites": [PLATE, PUCK], "effects": MACHINE}))
     with emulated_cell(tmp_path, "ur5", cell=cell_file) as wired:
         cell = EmulatedCell(wired.wires, wired.model, tmp_path, {**PATIENT, "check": CHECK})
-        assert cell.palpd("calibrate", "--config", cell.config).returncode == 0
+        cell.calibrate()
         plan = tmp_path / "plan.yaml"
         search = {"speed_m_per_s": 0.01, "max_travel_m": 0.035}
         plan.write_text(yaml.safe_dump({**PRESS, "sites": [{"name": "A", "x_m": 0.03}], "depths_m": [0.004], "search": search}))

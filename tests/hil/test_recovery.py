@@ -20,7 +20,7 @@ from palpd.testing.emulated_cell import PATIENT, PRESS, EmulatedCell, emulated_c
 from palpd.testing.fixtures import skip_without_ur_rtde
 from palpd.testing.operator import Operator
 from palpd.testing.processes import until
-from tests.hil.serving import Served, served
+from palpd.testing.served_cell import ServedCell, served
 
 pytestmark = pytest.mark.hil
 
@@ -31,14 +31,14 @@ PENDANT_S = 5.1
 
 
 @pytest.fixture(scope="module")
-def ur5e(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+def ur5e(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedCell]:
     """A calibrated service before an e-Series, which has a local mode; each test begins and ends with a robot that may move."""
     skip_without_ur_rtde()
     with emulated_cell(tmp_path_factory.mktemp("ur5e"), "ur5e") as base, served(base.anew(base.folder, **PATIENT)) as service:
         yield service
 
 
-def says(service: Served, stop: StopName | None) -> None:
+def says(service: ServedCell, stop: StopName | None) -> None:
     """Wait until the service says that this stands, and has looked at the cell anew where nothing does."""
 
     def seen() -> bool:
@@ -49,7 +49,7 @@ def says(service: Served, stop: StopName | None) -> None:
     until(seen, f"the service says {stop}", 20.0, every_s=0.05)
 
 
-def refused(service: Served, stop: StopName, *orders: str) -> None:
+def refused(service: ServedCell, stop: StopName, *orders: str) -> None:
     """Each order is refused with the words of the table, and nothing moves."""
     for order in orders:
         with pytest.raises(Refused, match=re.escape(ROBOT_STOPS[stop].reason)):
@@ -79,7 +79,7 @@ class Following:
 
 
 @contextmanager
-def following(service: Served) -> Iterator[Following]:
+def following(service: ServedCell) -> Iterator[Following]:
     near, far = pty.openpty()
     command = [sys.executable, "-m", "palpd", "recover-robot", "--config", str(service.cell.config)]
     process, heard = subprocess.Popen(command, stdin=far, stdout=far, stderr=far, start_new_session=True), bytearray()
@@ -125,7 +125,7 @@ WAYS: dict[str, tuple[dict[str, Any], list[Step]]] = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_each_step_is_said_waited_for_and_seen_and_nothing_is_armed_before(ur5e: Served, way: str) -> None:
+def test_each_step_is_said_waited_for_and_seen_and_nothing_is_armed_before(ur5e: ServedCell, way: str) -> None:
     stop, steps = WAYS[way]
     until(lambda: ur5e.do("status")["state"] == "disarmed", "the service rests", every_s=0.05)
     began_s = float(ur5e.cell.wires.ask(stop.pop("do"), **stop)["t_s"])
@@ -140,7 +140,7 @@ def test_each_step_is_said_waited_for_and_seen_and_nothing_is_armed_before(ur5e:
     assert all(sample.speed_m_per_s == 0.0 for sample in ur5e.cell.log(began_s)), "nothing moves by itself"
 
 
-def test_a_program_that_could_go_on_is_stopped_at_the_pendant_before_the_safeguard_closes(ur5e: Served) -> None:
+def test_a_program_that_could_go_on_is_stopped_at_the_pendant_before_the_safeguard_closes(ur5e: ServedCell) -> None:
     wires = ur5e.cell.wires
     until(lambda: ur5e.do("status")["state"] == "disarmed", "the service rests", every_s=0.05)
     wires.ask("other_program", s=60.0)

@@ -8,7 +8,7 @@ from palpd.control.sequence import RETRACT_M_PER_S
 from palpd.errors import Refused
 from palpd.testing.emulated_cell import PATIENT, EmulatedCell
 from palpd.testing.processes import until
-from tests.hil.serving import served
+from palpd.testing.served_cell import served
 
 pytestmark = pytest.mark.hil
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.signals import CALIBRATION, COMMANDS, RIGID_N_PER_M, interrupted
+from benchmarks.signals import COMMANDS, RIGID_N_PER_M, interrupted
 from palpd.recording.reader import Recording
 from palpd.testing.emulated_cell import PATIENT, PRESS, Daemon, EmulatedCell, retry_if_machine_stalled
 from palpd.testing.processes import command_of, family, until
@@ -81,10 +81,7 @@ START_S = {"calibrate": 2.0, "demo": 6.0}
 @pytest.fixture(scope="module")
 def calibration(cb3: EmulatedCell, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A reference tare for all commands."""
-    cell = cb3.anew(tmp_path_factory.mktemp("calibrated"))
-    done = cell.palpd("calibrate", "--config", cell.config)
-    assert done.returncode == 0, done.stderr
-    return cell.folder / "state" / CALIBRATION
+    return cb3.anew(tmp_path_factory.mktemp("calibrated")).calibrate()
 
 
 NAMES = ("SIGTERM", "Ctrl-C", "SIGINT twice", "terminal closed") * 2
@@ -96,7 +93,7 @@ def test_every_command_that_moves_ends_with_the_true_reason(
 ) -> None:
     wired = cell(RIGID_N_PER_M if command == "stiffness" else 1000.0, **PATIENT)
     (wired.folder / "state").mkdir()
-    shutil.copy(calibration, wired.folder / "state" / CALIBRATION)
+    shutil.copy(calibration, wired.folder / "state")
     outcome = interrupted(wired, command, name, STAGE_OF[command], START_S.get(command, 0.0))
     assert outcome is not None, "the command ended before the signal"
     assert not outcome.why, outcome

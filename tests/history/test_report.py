@@ -293,7 +293,7 @@ def test_from_three_runs_on_a_report_shows_the_trend_of_its_sites(runs: Path) ->
     with Catalogue(runs) as catalogue:
         catalogue.refresh()
     history = site_history(runs / "day-2.mcap", runs)
-    assert [point.run for point in history["A"]] == ["day-0", "day-1", "day-2"]
+    assert [point.run.name for point in history["A"]] == ["day-0", "day-1", "day-2"]
     assert "Over the days" in page(report_of(runs / "day-2.mcap", history=history))
     assert "Over the days" not in page(report_of(runs / "day-2.mcap", history={"A": history["A"][:2]}))
 

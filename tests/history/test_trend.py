@@ -2,8 +2,8 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ import pytest
 from palpd.errors import BadInput
 from palpd.history.catalogue import Catalogue, RunFilter
 from palpd.history.dates import day_begin_s, day_end_s
-from palpd.history.trend import change_notes, effect_trend, modulus_trend, slope_of, trend_as_json
+from palpd.history.trend import ModulusPoint, change_notes, effect_trend, modulus_trend, slope_of, trend_as_json
 
 DAY_S = 86400.0
 
@@ -44,14 +44,15 @@ def test_the_trend_of_a_site_is_its_moduli_run_by_run(runs: Path) -> None:
     with Catalogue(runs) as catalogue:
         catalogue.refresh()
         points, slopes = modulus_trend(catalogue, "A", RunFilter())
-        assert [point.run for point in points] == ["day-0", "day-1", "day-2"]
+        assert [point.run.name for point in points] == ["day-0", "day-1", "day-2"]
         assert set(slopes) == {"static"}, "the stopped run has no dynamic press"
         assert slopes["static"].points == 3
         assert modulus_trend(catalogue, "A", RunFilter(verdict="done"))[1] == {}
         assert modulus_trend(catalogue, "B", RunFilter()) == ([], {})
         assert effect_trend(catalogue) == {}
         content = trend_as_json("A", points, slopes, {})
-        assert content["runs"][0]["moduli"]["static_Pa"] == points[0].moduli.static_Pa
+        (run, moduli), first = points[0], content["runs"][0]
+        assert (first["run"], first["started"], first["moduli"]["static_Pa"]) == ("day-0", run.started, moduli.static_Pa)
 
 
 def test_a_copy_of_a_recording_is_no_further_evidence_of_a_trend(runs: Path) -> None:
@@ -73,13 +74,17 @@ def test_a_trend_over_another_tip_or_model_says_so(runs: Path) -> None:
     with Catalogue(runs) as catalogue:
         catalogue.refresh()
         points, _ = modulus_trend(catalogue, "A", RunFilter())
-    alike = [replace(point, config_sha256="one", model_sha256=None) for point in points]
+
+    def other(point: ModulusPoint, **changes: Any) -> ModulusPoint:
+        return point._replace(run=point.run._replace(**changes))
+
+    alike = [other(point, config_sha256="one", model_sha256=None) for point in points]
     assert change_notes(alike) == []
-    (note,) = change_notes([*alike[:2], replace(alike[2], config_sha256="another")])
+    (note,) = change_notes([*alike[:2], other(alike[2], config_sha256="another")])
     assert "the configuration changed within this trend, last before day-2 (changes: 1)" in note
     assert "palpd report day-2 --beside day-1" in note
-    assert len(change_notes([replace(alike[0], model_sha256="a model"), *alike[1:]])) == 1
-    stiff = replace(alike[2], machine_stiffness_N_per_m=48e3, sensor_serial="ISE222")
+    assert len(change_notes([other(alike[0], model_sha256="a model"), *alike[1:]])) == 1
+    stiff = other(alike[2], machine_stiffness_N_per_m=48e3, sensor_serial="ISE222")
     assert [note.partition(" changed")[0] for note in change_notes([*alike[:2], stiff])] == ["the stiffness of the machine", "the sensor"]
 
 

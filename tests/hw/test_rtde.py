@@ -278,8 +278,6 @@ def test_a_robot_is_read_moved_and_stopped(client: Client) -> None:
             rest=after.target_speed[2], runtime=after.runtime_state, connected=after.connected,
             mode=after.robot_mode, safety=after.safety_mode, pose=after.tcp_pose, g=after.tool_acceleration_m_per_s2)
         out["moved_s"] = moving.timestamp_s - before.timestamp_s
-        period = robot.period_s
-        out["phase"] = ((after.t_s - robot.arrival_phase_s) / period) % 1.0
         began = time.monotonic(); robot.close(); out["close_s"] = time.monotonic() - began
         robot.stop()
         """)
@@ -288,7 +286,6 @@ def test_a_robot_is_read_moved_and_stopped(client: Client) -> None:
     assert report["rest"] == 0
     assert (report["runtime"], report["connected"], report["mode"], report["safety"]) == (2, True, 7, 1)
     assert -0.001 < report["age"] < 0.05
-    assert min(report["phase"], 1 - report["phase"]) < 0.15
     assert len(report["pose"]) == 6
     assert len(report["g"]) == 3
     assert report["stop_s"] < STOPS_WITHIN_S
@@ -323,7 +320,7 @@ def test_a_killed_client_stops_by_the_watchdog_and_a_new_one_takes_over(client: 
 
 
 @pytest.mark.hil
-def test_after_every_upload_the_watchdog_is_set_again(client: Client) -> None:
+def test_after_the_watchdog_has_tripped_motion_is_refused_with_its_reason(client: Client) -> None:
     report = client.run("""
         robot = connect()
         go(robot, 0.005, 0.1); robot.stop()
@@ -333,19 +330,11 @@ def test_after_every_upload_the_watchdog_is_set_again(client: Client) -> None:
             robot.move((0.0, 0.0, 0.0)); out["refusal"] = ""
         except RobotError as error:
             out["refusal"] = str(error)
-        robot.rearm()
-        out["again"] = robot.read().runtime_state
-        go(robot, 0.005, 0.2); out["vz"] = robot.read().target_speed[2]
-        time.sleep(0.4)
-        out["tripped_again"] = robot.read().runtime_state
         out["rest"] = robot.read().target_speed[2]
         robot.close()
         """)
     assert report["tripped"] != 2
     assert "does not take a speed command: its control script was stopped (runtime state 1, 2 expected)" in report["refusal"]
-    assert report["again"] == 2
-    assert report["vz"] == pytest.approx(0.005, abs=1e-4)
-    assert report["tripped_again"] != 2
     assert report["rest"] == 0
 
 
@@ -442,17 +431,12 @@ def test_a_protective_stop_shows_and_refuses_motion_with_its_reason(tmp_path: Pa
                 robot.move((0.0, 0.0, 0.01)); out["refusal"] = ""
             except RobotError as error:
                 out["refusal"] = str(error)
-            try:
-                robot.rearm(); out["rearm"] = ""
-            except RobotError as error:
-                out["rearm"] = str(error)
             robot.stop(); robot.close()
             """,
             {"moving": lambda: cell.wires.ask("protective_stop")},
         )
         assert report["safety"] == 3
         assert "its safety mode is PROTECTIVE_STOP; clear it at the teach pendant" in report["refusal"]
-        assert "is in safety mode PROTECTIVE_STOP" in report["rearm"]
         cell.wires.ask("power_off")
         report = client.run("""
             try:

@@ -562,11 +562,18 @@ def test_recorded_devices_say_again_what_was_said(tmp_path: Path, monkeypatch: p
     sensor.close()
 
 
+def begun(ring: Ring, folder: Path) -> Recorder:
+    """A recorder whose file is open and holds the header."""
+    recorder = Recorder.begin(ring, folder / "run.mcap", HEADER, b"model")
+    recorder.confirm(20.0)
+    return recorder
+
+
 @pytest.mark.hil
 def test_the_recorder_process_writes_every_row_and_closes_in_order(tmp_path: Path, ring: Ring) -> None:
     rows = random_rows(1, [5] * 300)
     ring.write(rows[0])  # before the recording begins
-    recorder = Recorder.start(ring, tmp_path / "run.mcap", HEADER, b"model")
+    recorder = begun(ring, tmp_path)
     assert ring.recorder_state == RecorderState.WRITING
     for row in rows:
         ring.write(row)
@@ -578,12 +585,12 @@ def test_the_recorder_process_writes_every_row_and_closes_in_order(tmp_path: Pat
     assert (ring.recorder_state, ring.recorder_lag, ring.recorder_lost) == (RecorderState.CLOSED, 0, 0)
     assert not recorder.alive
     with pytest.raises(RecordingError, match="not overwritten"):
-        Recorder.start(ring, tmp_path / "run.mcap", HEADER)
+        begun(ring, tmp_path)
 
 
 @pytest.mark.hil
 def test_after_kill_9_of_the_recorder_at_most_half_a_second_is_missing(tmp_path: Path, ring: Ring) -> None:
-    recorder = Recorder.start(ring, tmp_path / "run.mcap", HEADER)
+    recorder = begun(ring, tmp_path)
     rows, begin_s = palpation(150), time.monotonic()
     for number, row in enumerate(rows):
         time.sleep(max(0.0, begin_s + number / 125 - time.monotonic()))
@@ -608,7 +615,8 @@ from palpd.recording.recorder import Recorder
 from palpd.recording.ring import Ring
 from palpd.tick import ROW
 ring = Ring.create(125)
-recorder = Recorder.start(ring, Path({str(tmp_path / "run.mcap")!r}), {HEADER!r})
+recorder = Recorder.begin(ring, Path({str(tmp_path / "run.mcap")!r}), {HEADER!r})
+recorder.confirm(20.0)
 row = np.zeros((), ROW)
 for number in range(100):
     row["index"] = number
@@ -632,7 +640,7 @@ time.sleep(60)
 
 @pytest.mark.hil
 def test_a_full_disk_is_told_and_the_producer_goes_on(tmp_path: Path, ring: Ring) -> None:
-    recorder = Recorder.start(ring, tmp_path / "run.mcap", HEADER)
+    recorder = begun(ring, tmp_path)
     resource.prlimit(recorder.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
     rows = random_rows(2, [20] * 100)
     until_s = time.monotonic() + 10
@@ -651,7 +659,7 @@ def test_a_full_disk_is_told_and_the_producer_goes_on(tmp_path: Path, ring: Ring
 @pytest.mark.hil
 def test_rows_that_the_recorder_was_too_slow_for_are_counted(tmp_path: Path) -> None:
     ring = Ring.create(rate_Hz=20, seconds=1.0)
-    recorder = Recorder.start(ring, tmp_path / "run.mcap", HEADER)
+    recorder = begun(ring, tmp_path)
     for row in palpation(100):
         ring.write(row)  # five times what the ring holds, faster than the recorder looks
     recording = Recording.load(recorder.close(FOOTER))

@@ -21,7 +21,7 @@ let typed = true; // whether the text was edited last, and not the form
 const plain = (value) => (typeof value === "string" ? (/^[A-Za-z_][\w.-]*$/.test(value) && !/^(null|true|false|yes|no|on|off)$/i.test(value) ? value : JSON.stringify(value)) : String(value));
 const inline = (value) => `{${Object.entries(value).map(([key, each]) => `${key}: ${plain(each)}`).join(", ")}}`;
 
-export function yamlOf(values) {
+function yamlOf(values) {
   const lines = [];
   for (const [key, value] of Object.entries(values)) {
     if (value === null || value === undefined || key === "version") continue;
