@@ -33,8 +33,8 @@ from palpd.recording.samples import Samples, write_csv
 from palpd.workers import beside, pool
 
 SCHEMA = "palpd.blind/5"
-BATCH = 20
-"""Cases that are drawn, sealed and diagnosed before the next ones: their recordings fill some 100 MB of disk, and an interrupted check
+BATCH = 50
+"""Cases that are drawn, sealed and diagnosed before the next ones: their recordings fill some 250 MB of disk, and an interrupted check
 loses at most that work."""
 MOST_RESUME_BYTES = 2**28
 """Largest file to resume from: some 100 000 cases."""
