@@ -1,11 +1,12 @@
 """Which effects are taken for their neighbours, counted in answers of the blind check.
 
-`python -m benchmarks.neighbours CHECK.json… [--docs]` reads what `palpd blind --json` wrote, and looks at the cells with one listed effect.
-Neighbours are effects whose laws have parameters that a diagnosis fits and does not report, effects that the blind check confuses, and
-causes whose changes are alike in principle.
+`python -m benchmarks.neighbours BATCHES… [--docs]` reads what `palpd blind --resume` wrote, also compressed by `xz`, and looks at the cells
+with one listed effect. `blind_batches.jsonl.xz` beside this file holds such batches. Neighbours are effects whose laws have parameters that
+a diagnosis fits and does not report, effects that the blind check confuses, and causes whose changes are alike in principle.
 """
 
 import argparse
+import lzma
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,10 +14,11 @@ from pathlib import Path
 from palpd.blind.outcome import CaseOutcome
 from palpd.documents import parse_json
 from palpd.file_kinds import PAGE_MARK
-from palpd.files import read_text, write_text
+from palpd.files import write_text
 from palpd.quantities import wilson
 
 PAGE = Path(__file__).parents[1] / "docs" / "neighbours.md"
+BATCHES = Path(__file__).with_name("blind_batches.jsonl.xz")
 WAYS = ("instead", "in its group", "beside")
 NEIGHBOURS = {
     "tissue.adhesion": ("tissue.viscoelastic", "tissue.preconditioning", "sensor.hysteresis"),
@@ -33,14 +35,15 @@ INTRODUCTION = """# Effects that are taken for their neighbours
 
 Some effects change a recording in a similar way. The laws of adhesion, hysteresis, asymmetry and saturation also have one parameter that
 the diagnosis fits and does not report, so they can follow a neighbour further. Here one listed effect is planted into a cell, and no other
-effect must be named. The cells are the sealed ones of the [blind check](blind.md) with one listed effect, those with coarse steps among
-them: {counts}; seed {seed}.
+effect must be named. The cells are those of a [blind check](blind.md) in which one listed effect acts, by the library's law or by another:
+{counts}; seed {seed}.
 
 - *Instead*: the other effect is named, and the planted one is not.
 - *In its group*: the same, and the group of indistinguishable effects of the other one holds the planted one. The answer says so.
 - *Beside*: both are named.
 
-Again: the commands of [blind.md](blind.md) with `--json`, then `python -m benchmarks.neighbours CHECK.json … --docs`.
+Again: `python -m benchmarks.neighbours benchmarks/blind_batches.jsonl.xz --docs`. That file is what `palpd blind {options} --resume FILE`
+wrote; decompressed and given again, the check goes on from it.
 """
 
 
@@ -85,20 +88,33 @@ def table(outcomes: Sequence[CaseOutcome]) -> list[str]:
     return lines
 
 
+def batches_in(file: Path) -> tuple[int, list[CaseOutcome]]:
+    """Seed and outcomes of the batches that a check has scored."""
+    with lzma.open(file, "rt", encoding="utf-8") if file.suffix == ".xz" else file.open(encoding="utf-8") as lines:
+        begun, *batches = [parse_json(line, file.name) for line in lines]
+    return int(begun["seed"]), [outcome for batch in batches for outcome in batch["outcomes"]]
+
+
+def with_one_effect(outcomes: Sequence[CaseOutcome]) -> list[CaseOutcome]:
+    """The cells in which one listed effect acts and nothing else."""
+    single = [outcome for outcome in outcomes if outcome["kind"] in ("library", "foreign") and len(outcome["planted"]) == 1]
+    return [outcome for outcome in single if not outcome["host_causes"]]
+
+
 def main() -> None:
     """Print the table, or write the page."""
     parser = argparse.ArgumentParser(description="How often an effect is taken for its neighbour.")
-    parser.add_argument("checks", type=Path, nargs="+", help="what palpd blind --json wrote")
+    parser.add_argument("batches", type=Path, nargs="+", help="what palpd blind --resume wrote")
     parser.add_argument("--docs", action="store_true", help="write docs/neighbours.md")
     options = parser.parse_args()
-    checks = [parse_json(read_text(file, most_bytes=2**28), file.name) for file in options.checks]
-    all_cells: list[CaseOutcome] = [outcome for check in checks for outcome in check["outcomes"]]
-    outcomes = [o for o in all_cells if o["kind"] in ("library", "foreign") and not o["host_causes"] and len(o["planted"]) == 1]
-    lines = table(outcomes)
+    seeds, checks = zip(*map(batches_in, options.batches), strict=True)
+    cells = [outcome for check in checks for outcome in with_one_effect(check)]
+    lines = table(cells)
     print("\n".join(lines))
     if options.docs:
-        counts = ", ".join(f"{count} of `{source}`" for source, count in Counter(o["source"] for o in outcomes).items())
-        text = INTRODUCTION.format(counts=counts, seed=checks[0]["seed"])
+        counts = Counter(o["source"] for o in cells)
+        again = f"--source {','.join(counts)} --seed {seeds[0]}"
+        text = INTRODUCTION.format(counts=", ".join(f"{n} of `{source}`" for source, n in counts.items()), seed=seeds[0], options=again)
         write_text(PAGE, "\n".join([PAGE_MARK, text, *lines, ""]))
 
 
