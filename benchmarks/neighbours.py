@@ -75,13 +75,13 @@ def table(outcomes: Sequence[CaseOutcome]) -> list[str]:
         shares = [(count / max(len(cells), 1), *wilson(count, len(cells))) for count in counts]
         words = [f"{count} ({at:.1%}, 95 %: {low:.1%} to {high:.1%})" for count, (at, low, high) in zip(counts, shares, strict=True)]
         lines.append(f"| {source} | {len(cells)} | {' | '.join(words)} |")
-    others = Counter(
-        (outcome["planted"][0], other, way)
-        for outcome in outcomes
-        for other in outcome["named"]
-        if other != outcome["planted"][0] and (outcome["planted"][0], other) not in PAIRS
-        for way in sorted(ways(outcome, other) - {"instead"} or {"instead"})
-    )
+    others: Counter[tuple[str, str, str]] = Counter()
+    for outcome in outcomes:
+        (planted,) = outcome["planted"]
+        for other in outcome["named"]:
+            if other != planted and (planted, other) not in PAIRS:
+                named_so = ways(outcome, other)
+                others[planted, other, "in its group" if "in its group" in named_so else min(named_so)] += 1
     lines += ["", "Every other effect that was named beside or instead of a planted one:", ""]
     lines += ["| planted | other effect | how | cells |", "|---|---|---|---|"]
     lines += [f"| `{planted}` | `{other}` | {way} | {count} |" for (planted, other, way), count in others.most_common()]

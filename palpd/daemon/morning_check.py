@@ -67,8 +67,8 @@ def morning_check(host: ProgramHost, temperature_C: float | None, here: bool = F
         raise
     day = CheckedDay(now(), features, temperature_C)
     verdict, healthy, note = judge_today(kept, day, config.check.tolerances)
-    number = 1 + max((earlier.number for _, earlier in kept), default=0)
-    check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note, number=max(number, 1 + last))
+    number = 1 + max([last, *(earlier.number for _, earlier in kept)])
+    check = MorningCheck(day, verdict, plate.name if plate is not None else None, note=note, number=number)
     first = since_baseline([*kept, (puck, check)])[0][1]
     check = replace(check, note=f"{note} {gone(first, config.paths.runs)}".strip())
     keep_check(puck, check)

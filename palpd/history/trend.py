@@ -140,10 +140,11 @@ def effect_trend(catalogue: Catalogue, site: str = "") -> dict[tuple[str, str], 
     by_parameter: dict[tuple[str, str], list[EffectPoint]] = {}
     for point in catalogue.effects(site):
         by_parameter.setdefault((point.effect, point.parameter), []).append(point)
-    return {
-        key: (points, slope_of([(at_s, value) for (at_s, _), value in {(p.started_s, p.site): p.value for p in points}.items()]))
-        for key, points in sorted(by_parameter.items())
-    }
+    trend = {}
+    for key, points in sorted(by_parameter.items()):
+        once = {(point.started_s, point.site): point for point in points}  # a copy of a recording is no further evidence
+        trend[key] = points, slope_of([(point.started_s, point.value) for point in once.values()])
+    return trend
 
 
 def trend_as_json(
