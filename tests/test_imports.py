@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[1]
 
 OF_BENCHMARKS = {
     "blind/test_calibration.py": {"calibrate"},
+    "blind/test_neighbours.py": {"neighbours"},
     "blind/test_own_simulators.py": {"own_models", "own_simulators"},
     "blind/test_own_sysid.py": {"own_models"},
     "blind/test_real_recordings.py": {"real_recordings"},
