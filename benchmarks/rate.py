@@ -32,10 +32,10 @@ from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_of, limits_o
 from palpd.daemon.motion_process import RingWriter
 from palpd.daemon.realtime import CPU_LATENCY, realtime
 from palpd.recording.ring import Ring
-from palpd.tick import PROGRAM_PLAYING, Clock, Floats, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing
+from palpd.tick import PROGRAM_PLAYING, Clock, Floats, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing, UncommandedRobot
 
 
-class IdleRobot:
+class IdleRobot(UncommandedRobot):
     """Stands still and says so."""
 
     def read(self) -> RobotState:
@@ -45,15 +45,6 @@ class IdleRobot:
         return RobotState(
             now_s, now_s, pose, zeros, pose, zeros, (0.0, 0.0, 9.81), RobotMode.RUNNING, SafetyMode.NORMAL, 1, PROGRAM_PLAYING, True
         )
-
-    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
-        """Nothing."""
-
-    def stop(self) -> None:
-        """Nothing."""
-
-    def end(self) -> None:
-        """Nothing."""
 
 
 class DitheringSensor:
