@@ -161,7 +161,6 @@ def measure(kind: str, rate_Hz: float, seconds: float, stress: bool) -> str:
         rows, _, _ = ring.read(0)
         rows = rows[5:].copy()
         ring.close()
-        ring.unlink()
     late_us = (rows["now_s"] - rows["planned_s"]) * 1e6
     reached_Hz = (len(rows) - 1) / (rows["now_s"][-1] - rows["now_s"][0])
     p50, p99 = np.percentile(late_us, [50, 99])

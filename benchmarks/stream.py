@@ -17,7 +17,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -66,8 +66,7 @@ def run_loop(rate_Hz: float, seconds: float, file: Path) -> None:
     from palpd.daemon.motion_process import RingWriter
     from palpd.daemon.realtime import realtime
 
-    ring = Ring.create(rate_Hz)
-    try:
+    with closing(Ring.create(rate_Hz)) as ring:
         print(ring.name, flush=True)
         sys.stdin.readline()
         record, clock = Noted(RingWriter(ring)), RealClock(rate_Hz, time.monotonic() + 0.3)
@@ -78,9 +77,6 @@ def run_loop(rate_Hz: float, seconds: float, file: Path) -> None:
             outcome = loop.run()
         np.save(file, np.array(record.ticks))
         print(outcome.reason or "done", flush=True)
-    finally:
-        ring.unlink()
-        ring.close()
 
 
 # --- who reads, each in a process of its own --------------------------------------------------------------------------------------

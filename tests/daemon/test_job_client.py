@@ -88,7 +88,7 @@ def socket_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pat
     over.set()
     thread.join()
     control.close()
-    service._free_ring()
+    service._ring.close()
 
 
 @pytest.mark.parametrize("agree", [True, False])

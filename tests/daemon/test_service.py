@@ -62,7 +62,7 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service
     monkeypatch.setattr("palpd.daemon.run_under_way.JobRun", ScriptedRun)
     service = Service(settings(tmp_path), lambda *_: pytest.fail("nothing is opened here"))
     yield service
-    service._free_ring()
+    service._ring.close()
 
 
 def settings(folder: Path, **more: Any) -> Config:
@@ -194,7 +194,7 @@ def test_a_latch_is_cleared_by_an_operator_only(service: Service) -> None:
     try:
         assert "lateral" in refusal(again, do="arm")
     finally:
-        again._free_ring()
+        again._ring.close()
     service.answer({"do": "clear"})
     assert isinstance(service.answer({"do": "arm"}), Later)
 
@@ -251,7 +251,7 @@ def test_a_second_protective_stop_within_a_minute_is_armed_over_only_with_a_caus
         assert status(again)["now"]["next"] == "clear"
         assert again.answer({"do": "clear", "cause": " the tool touched the frame "}) == {"ok": True, "state": "disarmed"}
     finally:
-        again._free_ring()
+        again._ring.close()
     kept = status(service)["protective"]
     assert [stop["cause"] for stop in kept] == ["the tool touched the frame", ""]
     assert kept[0]["by"] == "a client without the controls"

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,10 +23,8 @@ CAPACITY = 8
 
 @pytest.fixture
 def ring() -> Iterator[Ring]:
-    ring = Ring.create(rate_Hz=CAPACITY, seconds=1.0)
-    yield ring
-    ring.close()
-    ring.unlink()
+    with closing(Ring.create(rate_Hz=CAPACITY, seconds=1.0)) as ring:
+        yield ring
 
 
 def put(ring: Ring, *numbers: int) -> None:
@@ -205,10 +204,6 @@ def test_a_ring_whose_maker_was_killed_is_swept_away_by_the_next() -> None:
     left = Path("/dev/shm") / child.stdout.strip()
     assert left.name.startswith("palpd-")
     assert left.exists()
-    mine = Ring.create(125.0)
-    try:
+    with closing(Ring.create(125.0)) as mine:
         assert not left.exists()
         assert (Path("/dev/shm") / mine.name).exists()
-    finally:
-        mine.unlink()
-        mine.close()

@@ -74,7 +74,6 @@ class StandIn:
         self._over.set()
         self._thread.join()
         self._socket.close()
-        self.ring.unlink()
         self.ring.close()
 
     def _serve(self) -> None:
