@@ -1,11 +1,13 @@
 """Processes under test: those of a session, signals to them and from a terminal, and waiting for what they do."""
 
 import os
+import resource
 import signal
 import socket
+import subprocess
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,19 @@ def processor_s(pid: int) -> float:
     """Processor time that a process has used, user and kernel."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def children_s() -> float:
+    """Processor time, user and kernel, of all processes that this one has started and that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def timed(command: Sequence[str]) -> tuple[float, float]:
+    """Carry out a command whose output nobody reads. Returns its processor and wall time, in s."""
+    before_s, began_s = children_s(), time.perf_counter()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return children_s() - before_s, time.perf_counter() - began_s
 
 
 def resident_MB(pid: int) -> float:
