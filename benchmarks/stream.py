@@ -27,7 +27,7 @@ import yaml
 from palpd.daemon.control_socket import ControlSocket, Watching
 from palpd.recording.ring import Ring
 from palpd.streams.force_socket import RECORD, ForceRecord
-from palpd.testing.processes import free_port, processor_s, until
+from palpd.testing.processes import free_port, over_and_over, processor_s, until
 from palpd.tick import Floats, TickRecord
 
 OUTPUTS = {"nothing": (), "force": ("force",), "all, viewed and scraped": ("force", "foxglove", "metrics")}
@@ -125,20 +125,8 @@ def view(foxglove_port: int, metrics_port: int) -> None:
 def service_for(path: Path, ring_name: str) -> Iterator[None]:
     """A control socket that tells watchers of a ring, within the context."""
     status: Any = {"ok": True, "event": "status", "state": "running", "latched": None, "pid": os.getpid(), "ring": ring_name}
-    control, over = ControlSocket(path, lambda _: Watching(status)), threading.Event()
-
-    def serve() -> None:
-        while not over.is_set():
-            control.poll(0.1)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
+    with closing(ControlSocket(path, lambda _: Watching(status))) as control, over_and_over(lambda: control.poll(0.1)):
         yield
-    finally:
-        over.set()
-        thread.join()
-        control.close()
 
 
 def measure(rate_Hz: int, records: int, served: str, folder: Path) -> dict[str, Any]:

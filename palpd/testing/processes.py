@@ -7,7 +7,8 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +87,24 @@ def side_by_side(work: Callable[[Path], None], folder: Path, number: int) -> Non
         threads.append(threading.Thread(target=work, args=(own,)))
         threads[-1].start()
     for thread in threads:
+        thread.join()
+
+
+@contextmanager
+def over_and_over(act: Callable[[], object]) -> Iterator[None]:
+    """Act again and again, in a thread of its own, within the context."""
+    over = threading.Event()
+
+    def work() -> None:
+        while not over.is_set():
+            act()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
         thread.join()
 
 

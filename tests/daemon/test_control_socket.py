@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from palpd.daemon import control_socket as control
 from palpd.daemon.control_socket import MOST_BYTES, ControlSocket, Watching
 from palpd.daemon.socket_client import ask, follow
 from palpd.errors import Refused
+from palpd.testing.processes import over_and_over
 
 LONG = json.dumps({"ok": True, "log": ["x" * 100] * 50_000}).encode() + b"\n"
 
@@ -24,17 +26,10 @@ class Listening:
     def __init__(self, path: Path) -> None:
         self.path, self.heard = path, []  # type: ignore[var-annotated]
         self.socket = ControlSocket(path, self.answer)
-        self.over = threading.Event()
-        self.thread = threading.Thread(target=self.serve)
-        self.thread.start()
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any] | bytes:
         self.heard.append(request)
         return LONG if request["do"] == "job" else {"ok": request["do"] != "refuse", "error": "no", "echo": request.get("plan")}
-
-    def serve(self) -> None:
-        while not self.over.is_set():
-            self.socket.poll(0.01)
 
     def raw(self, data: bytes) -> bytes:
         with socket.socket(socket.AF_UNIX) as client:
@@ -50,10 +45,8 @@ class Listening:
 @pytest.fixture(scope="module")
 def listening(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Listening]:
     server = Listening(tmp_path_factory.mktemp("control") / "palpd.sock")
-    yield server
-    server.over.set()
-    server.thread.join()
-    server.socket.close()
+    with closing(server.socket), over_and_over(lambda: server.socket.poll(0.01)):
+        yield server
     assert not server.path.exists()
 
 
@@ -156,25 +149,13 @@ def test_an_abort_is_carried_out_although_its_client_has_gone(polled: Polled) ->
 
 @pytest.mark.hil
 def test_an_abort_gets_through_a_flood_of_requests_and_connections(listening: Listening) -> None:
-    over = threading.Event()
-
-    def flood() -> None:
-        while not over.is_set():
-            listening.raw(b'{"do": "status"}\n')
-
-    threads = [threading.Thread(target=flood) for _ in range(20)]
-    crowd = _crowd(listening.path, 200)
-    for thread in threads:
-        thread.start()
-    try:
+    with ExitStack() as stack:
+        for client in _crowd(listening.path, 200):
+            stack.enter_context(client)
+        for _ in range(20):
+            stack.enter_context(over_and_over(lambda: listening.raw(b'{"do": "status"}\n')))
         for _ in range(10):
             assert ask(listening.path, {"do": "abort"})["ok"]
-    finally:
-        over.set()
-        for thread in threads:
-            thread.join()
-        for client in crowd:
-            client.close()
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
