@@ -39,7 +39,7 @@ from palpd.errors import PalpdError
 from palpd.recording.reader import Recording
 from palpd.testing import served_cell
 from palpd.testing.emulated_cell import ABOVE_M, PATIENT, PRESS, EmulatedCell, emulated_cell
-from palpd.testing.processes import take_signals, until
+from palpd.testing.processes import over_and_over, take_signals, until
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -181,17 +181,11 @@ def measure_crowded_page(samples: int, half_open: int, folder: Path) -> bool:
     from palpd.daemon.logs import configure
 
     configure()
-    config, over = folder / "config.yaml", threading.Event()
+    config = folder / "config.yaml"
     config.write_text("paths: {state: .}\n")
     service = ControlSocket(folder / "palpd.sock", lambda _: {"ok": True, "state": "disarmed"})
-
-    def serve() -> None:
-        while not over.is_set():
-            service.poll(0.05)
-
-    threading.Thread(target=serve, daemon=True).start()
     taken_s, failed = [], 0
-    with page_server(config, DESCRIPTORS) as server:
+    with over_and_over(lambda: service.poll(0.05)), page_server(config, DESCRIPTORS) as server:
         address = urlsplit(server.url)
         origin = f"http://{address.netloc}"
         request = urllib.request.Request(f"{origin}/abort", method="POST", headers={"Origin": origin})
@@ -212,7 +206,6 @@ def measure_crowded_page(samples: int, half_open: int, folder: Path) -> bool:
                     time.sleep(0.1)
             finally:
                 crowd.kill()
-    over.set()
     p50_ms, p99_ms = np.percentile(taken_s, [50, 99]) * 1e3 if taken_s else (math.nan, math.nan)
     print("| half-open connections | p50, ms | p99, ms | largest, ms | target p99, ms | n | failed |")
     print("|---|---|---|---|---|---|---|")

@@ -6,9 +6,7 @@ included; a question within 200 ms of it, without process start. The recording i
 """
 
 import argparse
-import resource
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -21,6 +19,7 @@ from palpd.history.catalogue import Catalogue, RunFilter
 from palpd.history.facts import RunFacts, load
 from palpd.history.stored import stored_recordings
 from palpd.history.trend import modulus_trend
+from palpd.testing.processes import timed
 from palpd.testing.simulated_recording import BEGAN_S, write_simulated
 
 REPORT_TARGET_S, QUESTION_TARGET_S = 3.0, 0.2
@@ -34,15 +33,6 @@ def five_minutes(path: Path, minutes: float) -> Path:
          "hold_s": max(0.5, (60.0 * minutes - 262.0) / 12.0)}
     )  # fmt: skip
     return write_simulated(path, plan, PHANTOM, Config.model_validate({"safety": {"contact_limit_N": 16.0}}))
-
-
-def timed(command: list[str]) -> tuple[float, float]:
-    """Processor and wall time of a command, in s."""
-    before, began_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return cpu_s, time.perf_counter() - began_s
 
 
 def fill(folder: Path, count: int, facts: RunFacts) -> None:

@@ -123,7 +123,6 @@ class DirectCell:
         self._robot.close()
         self._devices.sensor.close()
         self._ring.close()
-        self._ring.unlink()
 
 
 @contextmanager

@@ -5,14 +5,13 @@ included. Target: 10 s for a million rows of a table; ends with 1 where it is mi
 """
 
 import argparse
-import resource
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
+
+from palpd.testing.processes import timed
 
 TARGET_S = 10.0
 RATE_HZ = 1000.0
@@ -37,12 +36,10 @@ def imported(source: Path, *options: str) -> tuple[float, float, int]:
     """Import a file. Returns processor time and wall time in s, and the rows of the recording."""
     target = source.with_name(f"{source.stem}-imported.csv")
     command = [sys.executable, "-m", "palpd", "import", str(source), "--csv", str(target), *options]
-    before, began_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    wall_s, after = time.perf_counter() - began_s, resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor_s, wall_s = timed(command)
     with target.open("rb") as file:
         rows = sum(not line.startswith(b"#") for line in file) - 1
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall_s, rows
+    return processor_s, wall_s, rows
 
 
 def main() -> None:

@@ -7,11 +7,11 @@ import argparse
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import binomtest
 
 from palpd.analysis.inclusion import DEPTHS_M, Inclusion, find_inclusion
 from palpd.cell.cell_file import CellFile, TissueBlock
 from palpd.cell.motion_profile import Move, commanded_heights
+from palpd.quantities import wilson
 from palpd.study.laboratory import STEP_S, setup, take
 
 LIMIT_N = 25.0
@@ -63,7 +63,7 @@ def judged(inclusion_m: float | None, holds_m: Sequence[float], seed: int) -> In
 
 def share(hits: list[bool]) -> str:
     """With Wilson's 95 % interval."""
-    low, high = binomtest(sum(hits), len(hits)).proportion_ci(method="wilson")
+    low, high = wilson(sum(hits), len(hits))
     return f"{100 * sum(hits) / len(hits):.0f} % ({100 * low:.0f}–{100 * high:.0f})"
 
 

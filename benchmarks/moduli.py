@@ -11,7 +11,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from scipy.stats import binomtest
 
 from palpd.analysis import results
 from palpd.cell.cell_file import CellFile, TissueBlock
@@ -19,6 +18,7 @@ from palpd.compensation.train import train
 from palpd.config import Config, Plan, filter_delay_s
 from palpd.daemon.motion_job import Job
 from palpd.daemon.simulated_run import SimulatedRecording, run
+from palpd.quantities import wilson
 from palpd.recording.reader import Recording, samples_of
 from palpd.study.laboratory import CUTOFF_Hz, free_cell, setup
 from palpd.tick import Phase
@@ -117,7 +117,7 @@ def main() -> None:
 
 def _share(hits: Sequence[bool]) -> str:
     """95 % interval of a share, in percent."""
-    low, high = binomtest(sum(hits), len(hits)).proportion_ci(method="wilson")
+    low, high = wilson(sum(hits), len(hits))
     return f"{100 * low:.0f}–{100 * high:.0f} %"
 
 

@@ -27,7 +27,7 @@ import pytest
 from scipy.stats import binom
 
 import palpd.tick  # noqa: F401
-from palpd.testing.processes import take_signals
+from palpd.testing.processes import children_s, take_signals
 
 ROOT = Path(__file__).parents[1]
 TARGETS = {  # name: (module, file, what of it; everything if empty, the tests)
@@ -150,11 +150,6 @@ def _why(what: str) -> str:
     return next((f": equivalent, {why}" for part, why in SAME.items() if part in new), "")
 
 
-def _children_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
 def _replace(name: str, file: str, tree: ast.Module) -> types.ModuleType:
     spec = importlib.util.spec_from_file_location(name, ROOT / file)
     assert spec is not None
@@ -181,9 +176,9 @@ def main() -> None:
     survivors, enough = [], True
     for name, (module, file, parts, tests) in TARGETS.items():
         if options.only in (None, name):
-            before_s = _children_s()
+            before_s = children_s()
             assert not killed(module, file, ast.parse((ROOT / file).read_text()), tests), "the tests fail on the unchanged module"
-            cpu_s = 5 + round(PATIENCE * (_children_s() - before_s))
+            cpu_s = 5 + round(PATIENCE * (children_s() - before_s))
             chance = random.Random(f"{seed} {name}")  # one stream a module: --only draws the same mutants as all modules do
             chosen = [mutant for mutant in mutants(file, parts) if chance.random() < options.share]
             alive = []

@@ -32,10 +32,10 @@ from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_of, limits_o
 from palpd.daemon.motion_process import RingWriter
 from palpd.daemon.realtime import CPU_LATENCY, realtime
 from palpd.recording.ring import Ring
-from palpd.tick import PROGRAM_PLAYING, Clock, Floats, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing
+from palpd.tick import PROGRAM_PLAYING, Clock, Floats, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing, UncommandedRobot
 
 
-class IdleRobot:
+class IdleRobot(UncommandedRobot):
     """Stands still and says so."""
 
     def read(self) -> RobotState:
@@ -45,15 +45,6 @@ class IdleRobot:
         return RobotState(
             now_s, now_s, pose, zeros, pose, zeros, (0.0, 0.0, 9.81), RobotMode.RUNNING, SafetyMode.NORMAL, 1, PROGRAM_PLAYING, True
         )
-
-    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
-        """Nothing."""
-
-    def stop(self) -> None:
-        """Nothing."""
-
-    def end(self) -> None:
-        """Nothing."""
 
 
 class DitheringSensor:
@@ -170,7 +161,6 @@ def measure(kind: str, rate_Hz: float, seconds: float, stress: bool) -> str:
         rows, _, _ = ring.read(0)
         rows = rows[5:].copy()
         ring.close()
-        ring.unlink()
     late_us = (rows["now_s"] - rows["planned_s"]) * 1e6
     reached_Hz = (len(rows) - 1) / (rows["now_s"][-1] - rows["now_s"][0])
     p50, p99 = np.percentile(late_us, [50, 99])

@@ -83,7 +83,6 @@ def measure(rate_Hz: int, seconds: float, folder: Path) -> str:
     path = recorder.close({"verdict": "done"})
     lost = ring.recorder_lost
     ring.close()
-    ring.unlink()
     begin_s = time.perf_counter()
     recording = Recording.load(path)
     load_s = time.perf_counter() - begin_s

@@ -8,13 +8,12 @@ import argparse
 import json
 import os
 import re
-import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 from palpd.testing.emulated_cell import PATIENT, EmulatedCell, emulated_cell
-from palpd.testing.processes import until
+from palpd.testing.processes import free_port, until
 
 TARGET_S = 300.0
 PATIENCE_S = 120.0
@@ -174,9 +173,7 @@ class SetupPage:
 @contextmanager
 def setup_page(folder: Path) -> Iterator[SetupPage]:
     """Serve the page for a set-up of a folder within the context."""
-    with closing(socket.create_server(("127.0.0.1", 0))) as free:
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "palpd", "setup", str(folder), "--page", "--port", str(port)]
+    command = [sys.executable, "-m", "palpd", "setup", str(folder), "--page", "--port", str(free_port())]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=_patient())
     assert process.stdout is not None
     try:

@@ -17,7 +17,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ import yaml
 from palpd.daemon.control_socket import ControlSocket, Watching
 from palpd.recording.ring import Ring
 from palpd.streams.force_socket import RECORD, ForceRecord
-from palpd.testing.processes import free_port, processor_s, until
+from palpd.testing.processes import free_port, over_and_over, processor_s, until
 from palpd.tick import Floats, TickRecord
 
 OUTPUTS = {"nothing": (), "force": ("force",), "all, viewed and scraped": ("force", "foxglove", "metrics")}
@@ -66,8 +66,7 @@ def run_loop(rate_Hz: float, seconds: float, file: Path) -> None:
     from palpd.daemon.motion_process import RingWriter
     from palpd.daemon.realtime import realtime
 
-    ring = Ring.create(rate_Hz)
-    try:
+    with closing(Ring.create(rate_Hz)) as ring:
         print(ring.name, flush=True)
         sys.stdin.readline()
         record, clock = Noted(RingWriter(ring)), RealClock(rate_Hz, time.monotonic() + 0.3)
@@ -78,9 +77,6 @@ def run_loop(rate_Hz: float, seconds: float, file: Path) -> None:
             outcome = loop.run()
         np.save(file, np.array(record.ticks))
         print(outcome.reason or "done", flush=True)
-    finally:
-        ring.unlink()
-        ring.close()
 
 
 # --- who reads, each in a process of its own --------------------------------------------------------------------------------------
@@ -129,20 +125,8 @@ def view(foxglove_port: int, metrics_port: int) -> None:
 def service_for(path: Path, ring_name: str) -> Iterator[None]:
     """A control socket that tells watchers of a ring, within the context."""
     status: Any = {"ok": True, "event": "status", "state": "running", "latched": None, "pid": os.getpid(), "ring": ring_name}
-    control, over = ControlSocket(path, lambda _: Watching(status)), threading.Event()
-
-    def serve() -> None:
-        while not over.is_set():
-            control.poll(0.1)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
+    with closing(ControlSocket(path, lambda _: Watching(status))) as control, over_and_over(lambda: control.poll(0.1)):
         yield
-    finally:
-        over.set()
-        thread.join()
-        control.close()
 
 
 def measure(rate_Hz: int, records: int, served: str, folder: Path) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 """A robot that is read and never commanded: the dry run on the real cell."""
 
-from palpd.tick import RobotState, StateReader
+from palpd.tick import RobotState, StateReader, UncommandedRobot
 
 
-class MutedRobot:
+class MutedRobot(UncommandedRobot):
     """Shows the states of `reader` and drops every command.
 
     With a reader that owns no control connection, no part of the process can move the arm.
@@ -15,12 +15,3 @@ class MutedRobot:
     def read(self) -> RobotState:
         """Return the newest state of the real robot."""
         return self._reader.read()
-
-    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
-        """Command nothing."""
-
-    def stop(self) -> None:
-        """Command nothing."""
-
-    def end(self) -> None:
-        """Command nothing."""

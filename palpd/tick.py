@@ -335,6 +335,19 @@ class Robot(Protocol):
         """Bring the tip to rest and end what runs on the controller. Never raises. The connections end with the process."""
 
 
+class UncommandedRobot:
+    """The commands of a robot that is only read: it does nothing of what it is asked."""
+
+    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
+        """Do nothing."""
+
+    def stop(self) -> None:
+        """Do nothing."""
+
+    def end(self) -> None:
+        """Do nothing."""
+
+
 class StateReader(Protocol):
     """A source of robot states that commands nothing: the dry run, and `palpd doctor`."""
 

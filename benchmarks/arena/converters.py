@@ -1,5 +1,6 @@
 """How original files become recordings, for sources that give more than one rig; each rig's convert.py says which files and parts."""
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,6 +15,11 @@ NM_PER_COUNT = 0.000039811
 """Torque sensor of the back end, README of the source."""
 DAMPER_TARE_N = 132.0
 """Mean of both directions of the magnetorheological damper without current; the same for all recordings."""
+
+
+def folders(script: str) -> tuple[Path, Path]:
+    """The checkout that the command line names, and the recordings of the rig to which a convert.py belongs."""
+    return Path(sys.argv[1]), Path(script).parent / "recordings"
 
 
 def davinci_tool(source: Path, out: Path, recordings: Mapping[str, tuple[str, int, int, float]]) -> None:

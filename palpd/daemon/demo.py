@@ -87,7 +87,7 @@ def palpate(full: bool, folder: Path | None, display: Display, *, wires: bool = 
         if free is None:
             return Demonstration(result)
         display.say("2/3 learning the inertial model from it")
-        card = _learn(free, folder / "inertial.onnx", _nominal_of(cell).probe.mass_kg)
+        card = _learn(free, folder / "inertial.onnx", cell.without_effects().probe.mass_kg)
         presses = len(plan.sites) * len(plan.depths_m) * (1 + plan.repeats)
         display.say(f"3/3 palpating {len(plan.sites)} sites, {presses} presses")
         result, _ = record("palpation", plan, "palpation", folder / "inertial.onnx")
@@ -173,7 +173,7 @@ def _on_wires(cell: CellFile, folder: Path, limiting: Plan, display: Display, ef
 def _without_wires(cell: CellFile, folder: Path, limiting: Plan, display: Display, effects: Path | None) -> Iterator[Record]:
     """Palpate with the cell's physics behind the loop."""
     library = load_effects(effects)
-    config = Config(safety=_limits(limiting), paths=PathsConfig(runs=folder, state=folder / "state"), cell=_nominal_of(cell))
+    config = Config(safety=_limits(limiting), paths=PathsConfig(runs=folder, state=folder / "state"), cell=cell.without_effects())
 
     def record(kind: Kind, plan: Plan, name: str, model: Path | None) -> tuple[RunResult, Recording | None]:
         corrected = config.model_copy(update={"model": ModelConfig(path=model)})
@@ -187,11 +187,6 @@ def _without_wires(cell: CellFile, folder: Path, limiting: Plan, display: Displa
 
 def _laws_of(effect: str) -> tuple[LearnedEffect, ...]:
     return load_cell(effect).learned if Path(effect).suffix in (".yaml", ".yml") else ()
-
-
-def _nominal_of(cell: CellFile) -> CellFile:
-    """What the daemon knows of an emulated cell."""
-    return cell.without_effects()
 
 
 def _effects_of(effect: str, nominal: CellFile) -> dict[str, dict[str, float]]:
@@ -281,7 +276,7 @@ def cell_on_wires(cell: CellFile, folder: Path, plan: Plan = SHORT, effects: Pat
             sensor=SensorConfig(port=wires.sensor),
             safety=_limits(plan),
             paths=PathsConfig(runs=folder, state=folder / "state"),
-            cell=_nominal_of(cell),
+            cell=cell.without_effects(),
         )
 
 

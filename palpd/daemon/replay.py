@@ -27,7 +27,20 @@ from palpd.recording.reader import PlainRows, RecordedRobot, RecordedSensor, Rec
 from palpd.recording.ring import Rows
 from palpd.recording.samples import Samples
 from palpd.recording.tick_rows import DECISIONS, RowWriter, decision
-from palpd.tick import PROGRAM_PLAYING, ROW, Action, Request, RobotMode, RobotState, SafetyMode, SensorFrames, TickRecord, Timing, Trip
+from palpd.tick import (
+    PROGRAM_PLAYING,
+    ROW,
+    Action,
+    Request,
+    RobotMode,
+    RobotState,
+    SafetyMode,
+    SensorFrames,
+    TickRecord,
+    Timing,
+    Trip,
+    UncommandedRobot,
+)
 
 NEEDED_KEYS = ("kind", "config", "plan", "dry", "reference", "machine_stiffness_N_per_m", "body", "model_card")
 """Keys of a recording's header without which its decisions cannot be made again."""
@@ -313,7 +326,7 @@ class _Trips:
         """Nothing to warm up."""
 
 
-class SampledRobot:
+class SampledRobot(UncommandedRobot):
     """The Robot of a CSV: the tool points straight down, and everything is healthy that the row does not contradict."""
 
     def __init__(self, samples: Samples) -> None:
@@ -333,15 +346,6 @@ class SampledRobot:
             t_s, t_s, (0.0, 0.0, z_m, np.pi, 0.0, 0.0), speed, (0.0, 0.0, target_z_m, np.pi, 0.0, 0.0), speed, (0.0, 0.0, 0.0),
             RobotMode.RUNNING, SafetyMode.NORMAL, 1, PROGRAM_PLAYING, True,
         )  # fmt: skip
-
-    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
-        """Nothing moves: the samples are recorded."""
-
-    def stop(self) -> None:
-        """Nothing stops: the samples are recorded."""
-
-    def end(self) -> None:
-        """Nothing is open."""
 
 
 class SampledSensor:

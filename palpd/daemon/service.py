@@ -105,7 +105,7 @@ class Service:
             try:
                 control = ControlSocket(self._config.paths.control_socket, self.answer)
             except BaseException:
-                self._free_ring()
+                self._ring.close()
                 raise
             latch = self._known.latch
             self._log.info("ready", socket=str(self._config.paths.control_socket), latched=latch.reason if latch else None)
@@ -133,7 +133,7 @@ class Service:
                 if self._watch is not None:
                     self._watch.end()
                 control.close()
-                self._free_ring()
+                self._ring.close()
 
     @property
     def _word(self) -> str:
@@ -410,10 +410,6 @@ class Service:
             self._reports.add(report.recording)
         self._log.info("ended", verdict=report.verdict, reason=report.reason, recording=str(report.recording), notes=report.notes)
         self._jobs.report(report)
-
-    def _free_ring(self) -> None:
-        self._ring.unlink()
-        self._ring.close()
 
 
 def robot_may_be_out(report: Report) -> bool:

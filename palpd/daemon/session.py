@@ -139,14 +139,11 @@ def carry_out(work: Job, build: Build, display: Display, name: str | None = None
     with held(abort):
         with shielded():
             ring = Ring.create(work.config.robot.rate_Hz)
-        try:
+        with contextlib.closing(ring):
             run = JobRun(work, build, ring, State(work.config.paths.state), name or recording_name(work.kind))
             if received():  # before there was a run
                 abort()
             report = _watched(run, work, ring, display)
-        finally:
-            ring.unlink()
-            ring.close()
     if received() and report.exit_code == 0:
         kept = f"; {report.recording} is complete" if report.recording else ""
         raise Interrupted(f"interrupted by {received()} after the last motion{kept}")

@@ -15,7 +15,7 @@ from palpd.recording.header import RecordingFooter, RecordingHeader
 from palpd.recording.mcap_file import FOOTER, HEADER, Contents
 from palpd.recording.samples import SITE_COLUMN, Samples, is_parquet, samples_from_columns, write_csv, write_parquet
 from palpd.recording.tick_rows import filled_slots
-from palpd.tick import NO_FRAMES, ROW, Floats, Mode, Phase, RobotState, SensorFrames
+from palpd.tick import NO_FRAMES, ROW, Floats, Mode, Phase, RobotState, SensorFrames, UncommandedRobot
 
 Rows = NDArray[np.void]
 
@@ -318,7 +318,7 @@ class PlainRows:
         return self._block[number - self._begin]
 
 
-class RecordedRobot:
+class RecordedRobot(UncommandedRobot):
     """The Robot of a recording: it repeats the state of the tick chosen by `advance`, and commands do nothing."""
 
     FIELDS = ("robot_t_s", "robot_timestamp_s", *(state.name for state in fields(RobotState)[2:]))
@@ -335,15 +335,6 @@ class RecordedRobot:
         """Return the state that the loop saw in this tick."""
         *values, connected = self._states[self._at]
         return RobotState(*(*values, bool(connected)))
-
-    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None:
-        """Do nothing."""
-
-    def stop(self) -> None:
-        """Do nothing."""
-
-    def end(self) -> None:
-        """Do nothing."""
 
 
 class RecordedSensor:

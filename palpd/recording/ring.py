@@ -100,7 +100,7 @@ class Ring:
 
     @classmethod
     def create(cls, rate_Hz: float, seconds: float = RING_S) -> Self:
-        """Create a ring and touch every page of it; its creator also calls `unlink`.
+        """Create a ring and touch every page of it.
 
         Args:
             rate_Hz: ticks per second.
@@ -228,16 +228,13 @@ class Ring:
         self.aborts_taken, self.pauses_taken = self.aborts, self.pauses
 
     def close(self) -> None:
-        """Unmap the memory; do not use `rows` afterwards."""
+        """Unmap the memory; do not use `rows` afterwards. Where this process created it, its name goes too: who has it open keeps it."""
+        if isinstance(self._memory, SharedMemory):
+            self._memory.unlink()
         del self._rows
         self.words.release()
         with contextlib.suppress(BufferError):  # a caller still holds a row: the mapping ends with the process
             self._memory.close()
-
-    def unlink(self) -> None:
-        """Remove the memory's name, in the process that created it; processes that have it open keep it."""
-        if isinstance(self._memory, SharedMemory):
-            self._memory.unlink()
 
 
 def _sweep() -> None:

@@ -1,11 +1,14 @@
 """Processes under test: those of a session, signals to them and from a terminal, and waiting for what they do."""
 
 import os
+import resource
 import signal
 import socket
+import subprocess
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +43,19 @@ def processor_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def children_s() -> float:
+    """Processor time, user and kernel, of all processes that this one has started and that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def timed(command: Sequence[str]) -> tuple[float, float]:
+    """Carry out a command whose output nobody reads. Returns its processor and wall time, in s."""
+    before_s, began_s = children_s(), time.perf_counter()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return children_s() - before_s, time.perf_counter() - began_s
+
+
 def resident_MB(pid: int) -> float:
     """Memory of a process that is in RAM, in MiB."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
@@ -71,6 +87,24 @@ def side_by_side(work: Callable[[Path], None], folder: Path, number: int) -> Non
         threads.append(threading.Thread(target=work, args=(own,)))
         threads[-1].start()
     for thread in threads:
+        thread.join()
+
+
+@contextmanager
+def over_and_over(act: Callable[[], object]) -> Iterator[None]:
+    """Act again and again, in a thread of its own, within the context."""
+    over = threading.Event()
+
+    def work() -> None:
+        while not over.is_set():
+            act()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
         thread.join()
 
 

@@ -11,7 +11,7 @@ from palpd.control.loop import Loop
 from palpd.control.sequence import Sequence, TimedRest
 from palpd.daemon.motion_job import Job, arm_geometry_of, explainer_with, limits_of
 from palpd.recording.tick_rows import DECISIONS, RowWriter, decision
-from palpd.tick import MAX_FRAMES, ROW, RobotState, SensorFrames, TickRecord, Timing
+from palpd.tick import MAX_FRAMES, ROW, RobotState, SensorFrames, TickRecord, Timing, UncommandedRobot
 from tests import scenes
 
 
@@ -31,15 +31,9 @@ class StalledDevices:
         return self._frames
 
 
-class StillRobot:
+class StillRobot(UncommandedRobot):
     def read(self) -> RobotState:
         return scenes.robot()
-
-    def move(self, velocity_m_per_s: tuple[float, float, float]) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def end(self) -> None: ...
 
 
 class Rows:

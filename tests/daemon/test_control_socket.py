@@ -5,8 +5,9 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -16,23 +17,19 @@ from palpd.daemon import control_socket as control
 from palpd.daemon.control_socket import MOST_BYTES, ControlSocket, Watching
 from palpd.daemon.socket_client import ask, follow
 from palpd.errors import Refused
+from palpd.testing.processes import over_and_over
+
+LONG = json.dumps({"ok": True, "log": ["x" * 100] * 50_000}).encode() + b"\n"
 
 
 class Listening:
     def __init__(self, path: Path) -> None:
         self.path, self.heard = path, []  # type: ignore[var-annotated]
         self.socket = ControlSocket(path, self.answer)
-        self.over = threading.Event()
-        self.thread = threading.Thread(target=self.serve)
-        self.thread.start()
 
-    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+    def answer(self, request: dict[str, Any]) -> dict[str, Any] | bytes:
         self.heard.append(request)
-        return {"ok": request["do"] != "refuse", "error": "no", "echo": request.get("plan")}
-
-    def serve(self) -> None:
-        while not self.over.is_set():
-            self.socket.poll(0.01)
+        return LONG if request["do"] == "job" else {"ok": request["do"] != "refuse", "error": "no", "echo": request.get("plan")}
 
     def raw(self, data: bytes) -> bytes:
         with socket.socket(socket.AF_UNIX) as client:
@@ -48,11 +45,30 @@ class Listening:
 @pytest.fixture(scope="module")
 def listening(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Listening]:
     server = Listening(tmp_path_factory.mktemp("control") / "palpd.sock")
-    yield server
-    server.over.set()
-    server.thread.join()
-    server.socket.close()
+    with closing(server.socket), over_and_over(lambda: server.socket.poll(0.01)):
+        yield server
     assert not server.path.exists()
+
+
+class Polled(NamedTuple):
+    """A socket that is polled by hand, and the requests that it heard."""
+
+    server: ControlSocket
+    path: Path
+    heard: list[str]
+
+
+@pytest.fixture
+def polled(tmp_path: Path) -> Iterator[Polled]:
+    heard: list[str] = []
+
+    def answer(request: Any) -> Any:
+        heard.append(request["do"])
+        return {"watch": Watching({"ok": True, "state": "disarmed"}), "job": LONG}.get(request["do"], {"ok": True})
+
+    server = ControlSocket(tmp_path / "palpd.sock", answer)
+    yield Polled(server, tmp_path / "palpd.sock", heard)
+    server.close()
 
 
 def test_a_request_is_answered(listening: Listening) -> None:
@@ -113,59 +129,33 @@ def test_an_abort_gets_through_200_connections_that_never_complete_a_line(listen
         client.close()
 
 
-def test_an_abort_overtakes_requests_that_came_before_it(tmp_path: Path) -> None:
-    heard: list[str] = []
-
-    def answer(request: Any) -> Any:
-        heard.append(request["do"])
-        return {"ok": True}
-
-    server = ControlSocket(tmp_path / "palpd.sock", answer)
-    crowd = _crowd(tmp_path / "palpd.sock", 20, b'{"do": "status"}\n') + _crowd(tmp_path / "palpd.sock", 1, b'{"do": "abort"}\n')
+def test_an_abort_overtakes_requests_that_came_before_it(polled: Polled) -> None:
+    server, path, heard = polled
+    crowd = _crowd(path, 20, b'{"do": "status"}\n') + _crowd(path, 1, b'{"do": "abort"}\n')
     server.poll()
     assert heard[0] == "abort"
-    server.close()
     for client in crowd:
         client.close()
 
 
-def test_an_abort_is_carried_out_although_its_client_has_gone(tmp_path: Path) -> None:
-    heard: list[str] = []
-
-    def answer(request: Any) -> Any:
-        heard.append(request["do"])
-        return {"ok": True}
-
-    server = ControlSocket(tmp_path / "palpd.sock", answer)
-    for client in _crowd(tmp_path / "palpd.sock", 1, b'{"do": "abort"}\n'):
+def test_an_abort_is_carried_out_although_its_client_has_gone(polled: Polled) -> None:
+    server, path, heard = polled
+    for client in _crowd(path, 1, b'{"do": "abort"}\n'):
         client.close()
     server.poll()
     server.poll()
-    server.close()
     assert heard == ["abort"]
 
 
 @pytest.mark.hil
 def test_an_abort_gets_through_a_flood_of_requests_and_connections(listening: Listening) -> None:
-    over = threading.Event()
-
-    def flood() -> None:
-        while not over.is_set():
-            listening.raw(b'{"do": "status"}\n')
-
-    threads = [threading.Thread(target=flood) for _ in range(20)]
-    crowd = _crowd(listening.path, 200)
-    for thread in threads:
-        thread.start()
-    try:
+    with ExitStack() as stack:
+        for client in _crowd(listening.path, 200):
+            stack.enter_context(client)
+        for _ in range(20):
+            stack.enter_context(over_and_over(lambda: listening.raw(b'{"do": "status"}\n')))
         for _ in range(10):
             assert ask(listening.path, {"do": "abort"})["ok"]
-    finally:
-        over.set()
-        for thread in threads:
-            thread.join()
-        for client in crowd:
-            client.close()
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
@@ -197,18 +187,8 @@ def _watching(server: ControlSocket, path: Path) -> socket.socket:
     return watcher
 
 
-@pytest.fixture
-def published(tmp_path: Path) -> Iterator[tuple[ControlSocket, Path]]:
-    def answer(request: Any) -> Any:
-        return Watching({"ok": True, "state": "disarmed"}) if request["do"] == "watch" else {"ok": True}
-
-    server = ControlSocket(tmp_path / "palpd.sock", answer)
-    yield server, tmp_path / "palpd.sock"
-    server.close()
-
-
-def test_a_watcher_receives_every_event_until_it_leaves(published: tuple[ControlSocket, Path]) -> None:
-    server, path = published
+def test_a_watcher_receives_every_event_until_it_leaves(polled: Polled) -> None:
+    server, path, _ = polled
     assert not server.watched
     with _watching(server, path) as watcher, watcher.makefile() as lines:
         server.publish({"event": "log", "line": "one"})
@@ -218,8 +198,8 @@ def test_a_watcher_receives_every_event_until_it_leaves(published: tuple[Control
     assert not server.watched
 
 
-def test_a_stuck_watcher_is_dropped_and_delays_nobody(published: tuple[ControlSocket, Path]) -> None:
-    server, path = published
+def test_a_stuck_watcher_is_dropped_and_delays_nobody(polled: Polled) -> None:
+    server, path, _ = polled
     stuck, reader = _watching(server, path), _watching(server, path)
     with stuck, reader, reader.makefile() as lines:
         lines.readline()
@@ -232,16 +212,16 @@ def test_a_stuck_watcher_is_dropped_and_delays_nobody(published: tuple[ControlSo
     server.poll()
 
 
-def test_a_watcher_that_speaks_is_dropped(published: tuple[ControlSocket, Path]) -> None:
-    server, path = published
+def test_a_watcher_that_speaks_is_dropped(polled: Polled) -> None:
+    server, path, _ = polled
     with _watching(server, path) as watcher:
         watcher.sendall(b'{"do": "abort"}\n')
         server.poll()
         assert not server.watched
 
 
-def test_there_are_not_more_watchers_than_the_service_can_serve(published: tuple[ControlSocket, Path]) -> None:
-    server, path = published
+def test_there_are_not_more_watchers_than_the_service_can_serve(polled: Polled) -> None:
+    server, path, _ = polled
     watchers = [_watching(server, path) for _ in range(control.MOST_WATCHERS + 1)]
     assert b"16 others watch already" in watchers[-1].recv(65536)
     assert len(server._watchers) == control.MOST_WATCHERS
@@ -249,47 +229,24 @@ def test_there_are_not_more_watchers_than_the_service_can_serve(published: tuple
         watcher.close()
 
 
-def test_an_abort_gets_through_watchers_and_a_client_that_does_not_take_its_long_answer(tmp_path: Path) -> None:
-    heard: list[str] = []
-    long = json.dumps({"ok": True, "log": ["x" * 100] * 50_000}).encode() + b"\n"
-
-    def answer(request: Any) -> Any:
-        heard.append(request["do"])
-        return {"watch": Watching({"ok": True}), "job": long}.get(request["do"], {"ok": True})
-
-    server = ControlSocket(tmp_path / "palpd.sock", answer)
-    watchers = [_watching(server, tmp_path / "palpd.sock") for _ in range(control.MOST_WATCHERS)]
-    slow = _crowd(tmp_path / "palpd.sock", 10, b'{"do": "job"}\n')
+def test_an_abort_gets_through_watchers_and_a_client_that_does_not_take_its_long_answer(polled: Polled) -> None:
+    server, path, heard = polled
+    watchers = [_watching(server, path) for _ in range(control.MOST_WATCHERS)]
+    slow = _crowd(path, 10, b'{"do": "job"}\n')
     for _ in range(5):
         server.poll()
         server.publish({"event": "status"})
     began_s = time.process_time()
-    crowd = _crowd(tmp_path / "palpd.sock", 1, b'{"do": "abort"}\n')
+    crowd = _crowd(path, 1, b'{"do": "abort"}\n')
     while "abort" not in heard:
         server.poll()
     assert time.process_time() - began_s < 0.05
     for client in [*watchers, *slow, *crowd]:
         client.close()
-    server.close()
 
 
-def test_an_answer_longer_than_the_buffer_arrives_whole(tmp_path: Path) -> None:
-    lines = ["x" * 100] * 20_000
-    server = ControlSocket(tmp_path / "palpd.sock", lambda _: json.dumps({"ok": True, "log": lines}).encode() + b"\n")
-    over = threading.Event()
-
-    def serve() -> None:
-        while not over.is_set():
-            server.poll(0.01)
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        assert ask(tmp_path / "palpd.sock", {"do": "job", "id": "x"})["log"] == lines
-    finally:
-        over.set()
-        thread.join()
-        server.close()
+def test_an_answer_longer_than_the_buffer_arrives_whole(listening: Listening) -> None:
+    assert ask(listening.path, {"do": "job", "id": "x"}) == json.loads(LONG)
 
 
 @pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n", b"[]\n", b"\xff\xfe\n"])

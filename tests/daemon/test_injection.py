@@ -3,6 +3,7 @@
 import hashlib
 from collections import Counter
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -81,12 +82,8 @@ def test_the_motion_process_never_gets_what_is_planted(config: Config, monkeypat
     fake = SimpleNamespace(pipe=SimpleNamespace(send=sent.append))
     monkeypatch.setattr(supervisor, "MotionProcess", lambda *_: fake)
     monkeypatch.setattr(supervisor, "Witness", lambda *_: None)
-    ring = Ring.create(125.0)
-    try:
+    with closing(Ring.create(125.0)) as ring:
         run = JobRun(Job("palpation", config, PLAN, planted=PLANTED), lambda *_: pytest.fail("no"), ring, State(config.paths.state), "run")
-    finally:
-        ring.unlink()
-        ring.close()
     assert run.job.planted == PLANTED
     assert sent == [Job("palpation", config, PLAN)]
 

@@ -1,6 +1,5 @@
 """A command as a client of the service: what it shows, asks and passes on. Worker and runs are scripted, the socket is real."""
 
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -22,6 +21,7 @@ from palpd.daemon.socket_client import ask
 from palpd.daemon.stored_state import Calibration, State
 from palpd.daemon.supervisor import Report
 from palpd.errors import BadInput, Refused
+from palpd.testing.processes import over_and_over
 from palpd.tick import Request
 from tests.daemon.test_jobs import MOTION, ScriptedWorker
 from tests.daemon.test_service import ScriptedRun
@@ -73,22 +73,17 @@ def socket_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pat
     State(config.paths.state).keep("calibration", Calibration((0.0,) * 6, "2026-01-01", None))
     service = Service(config, lambda *_: pytest.fail("nothing is opened here"))
     control = ControlSocket(config.paths.control_socket, service.answer)
-    over = threading.Event()
 
     def serve() -> None:
-        while not over.is_set():
-            control.poll(0.005)
-            service._poll_run()
-            service._poll_job()
-            service._publish(control)
+        control.poll(0.005)
+        service._poll_run()
+        service._poll_job()
+        service._publish(control)
 
-    thread = threading.Thread(target=serve)
-    thread.start()
-    yield config.paths.control_socket
-    over.set()
-    thread.join()
+    with over_and_over(serve):
+        yield config.paths.control_socket
     control.close()
-    service._free_ring()
+    service._ring.close()
 
 
 @pytest.mark.parametrize("agree", [True, False])

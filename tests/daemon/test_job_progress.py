@@ -2,6 +2,7 @@
 
 import io
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -32,10 +33,8 @@ PLAN = Plan.model_validate(
 
 @pytest.fixture
 def ring() -> Iterator[Ring]:
-    ring = Ring.create(125.0)
-    yield ring
-    ring.unlink()
-    ring.close()
+    with closing(Ring.create(125.0)) as ring:
+        yield ring
 
 
 def job(kind: Kind = "palpation") -> Job:

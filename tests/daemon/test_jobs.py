@@ -66,7 +66,7 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service
     State(config.paths.state).keep("calibration", Calibration((0.0,) * 6, "2026-01-01", None))
     service = Service(config, lambda *_: pytest.fail("nothing is opened here"))
     yield service
-    service._free_ring()
+    service._ring.close()
 
 
 def do(service: Service, what: str, **more: Any) -> dict[str, Any]:

@@ -43,7 +43,7 @@ def test_a_kept_plan_survives_the_service_and_is_a_plan_file(service: Service) -
         assert ask(again, "plans")["plans"] == [kept]
         answer = ask(again, "plans", name="morning")
     finally:
-        again._free_ring()
+        again._ring.close()
     assert answer["plans"] == [kept]
     file = folder(service) / "morning.yaml"
     assert file.read_text().partition("\n")[2] == answer["yaml"]
@@ -103,7 +103,7 @@ def test_a_plan_above_the_speed_limit_of_the_cell_is_not_kept(tmp_path: Path, mo
     try:
         assert "above safety.max_speed_m_per_s of 0.005" in refusal(slow, do="keep-plan", name="fast", plan=PLAN)
     finally:
-        slow._free_ring()
+        slow._ring.close()
 
 
 def test_too_large_a_plan_and_too_many_are_refused_and_an_old_one_may_still_be_changed(

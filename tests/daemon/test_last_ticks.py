@@ -1,5 +1,7 @@
 """A stopped run shows its last ticks: from the ring, so that they are there after a crash and without a recording too."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
@@ -49,17 +51,13 @@ def over(ring: Ring, first_tick: int, exit_code: int) -> Report:
 
 
 def test_a_crash_without_a_recording_still_shows_the_last_ticks_of_this_run_only() -> None:
-    ring = Ring.create(125.0)
-    try:
+    with closing(Ring.create(125.0)) as ring:
         for row in pressing(20):
             ring.write(row)
         assert [tick["force_N"] for tick in over(ring, 0, 3).last_ticks] == list(range(10, 20))
         assert [tick["force_N"] for tick in over(ring, 16, 3).last_ticks] == [16.0, 17.0, 18.0, 19.0]
         assert over(ring, 20, 3).last_ticks == ()
         assert over(ring, 0, 0).last_ticks == ()
-    finally:
-        ring.unlink()
-        ring.close()
 
 
 def test_the_json_of_a_stopped_run_holds_them(stopped: SimulatedRecording) -> None:

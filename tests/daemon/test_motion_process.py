@@ -55,7 +55,6 @@ def test_a_loop_says_that_it_runs_only_while_its_thread_is_urgent_and_ticks_are_
             ("after", LoopState.ENDED),
         ]
     finally:
-        ring.unlink()
         ring.close()
 
 

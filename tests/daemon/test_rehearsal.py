@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +48,7 @@ def test_a_run_that_was_rehearsed_imports_nothing_under_way() -> None:
 
 @pytest.mark.parametrize("kind", ["palpation", "free_motion", "stiffness", "retract"])
 def test_a_rehearsal_of_any_job_leaves_no_trace_in_ring_explainer_and_zero(kind: Kind) -> None:
-    ring = Ring.create(125.0)
-    try:
+    with closing(Ring.create(125.0)) as ring:
         workspace = {"workspace_m": [[0.3, 0.6], [0.3, 0.6], [0.1, 0.6]], "min_z_m": 0.1}
         job = Job(kind, Config.model_validate({"safety": workspace}), Plan(), reference=tuple(range(6)))
         explainer = explainer_of(job, {}, 0.001)
@@ -61,36 +61,25 @@ def test_a_rehearsal_of_any_job_leaves_no_trace_in_ring_explainer_and_zero(kind:
         assert explainer.tare is tare
         np.testing.assert_array_equal(explainer.reference, range(6))
         assert repr(explainer.zero) == zero
-    finally:
-        ring.unlink()
-        ring.close()
 
 
 def test_a_rehearsal_ends_with_an_abort_and_leaves_it_to_the_loop() -> None:
-    ring = Ring.create(125.0)
-    try:
+    with closing(Ring.create(125.0)) as ring:
         job = Job("palpation", Config(), Plan(), reference=(0.0,) * 6)
         assert not ring.abort_waits
         ring.ask(Request.ABORT)
         assert rehearse_job(job, explainer_of(job, {}, 0.001), RingWriter(ring), lambda: ring.abort_waits).ticks == 0
         assert ring.request() == Request.ABORT
         assert not ring.abort_waits
-    finally:
-        ring.unlink()
-        ring.close()
 
 
 def test_a_rehearsed_palpation_comes_to_its_end() -> None:
-    ring = Ring.create(125.0)
-    try:
+    with closing(Ring.create(125.0)) as ring:
         job = Job(
             "palpation", Config(), Plan.model_validate({"free": {"strokes": 30}, "origin": {"x_m": 0.7, "y_m": 0.1}}), reference=(0.0,) * 6
         )
         assert rehearse_job(job, explainer_of(job, {}, 0.001), RingWriter(ring)).verdict == "done"
         assert job.plan.sites[0].x_m == 0.0
-    finally:
-        ring.unlink()
-        ring.close()
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux only")

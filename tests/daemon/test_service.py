@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from palpd.recording.reader import Recording
 from palpd.recording.recovery import recover
 from palpd.testing.fixtures import skip_without_ur_rtde
 from palpd.testing.operator import Operator
+from palpd.testing.processes import command_of, family, until
 from palpd.tick import ROW, Phase, Request
 from tests.paths import ROOT
 
@@ -62,7 +63,7 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Service
     monkeypatch.setattr("palpd.daemon.run_under_way.JobRun", ScriptedRun)
     service = Service(settings(tmp_path), lambda *_: pytest.fail("nothing is opened here"))
     yield service
-    service._free_ring()
+    service._ring.close()
 
 
 def settings(folder: Path, **more: Any) -> Config:
@@ -194,7 +195,7 @@ def test_a_latch_is_cleared_by_an_operator_only(service: Service) -> None:
     try:
         assert "lateral" in refusal(again, do="arm")
     finally:
-        again._free_ring()
+        again._ring.close()
     service.answer({"do": "clear"})
     assert isinstance(service.answer({"do": "arm"}), Later)
 
@@ -251,7 +252,7 @@ def test_a_second_protective_stop_within_a_minute_is_armed_over_only_with_a_caus
         assert status(again)["now"]["next"] == "clear"
         assert again.answer({"do": "clear", "cause": " the tool touched the frame "}) == {"ok": True, "state": "disarmed"}
     finally:
-        again._free_ring()
+        again._ring.close()
     kept = status(service)["protective"]
     assert [stop["cause"] for stop in kept] == ["the tool touched the frame", ""]
     assert kept[0]["by"] == "a client without the controls"
@@ -504,7 +505,7 @@ class Daemon:
         command = [sys.executable, "-m", "palpd", "serve", "--config", str(self.config)]
         with self.notices.open("ab") as log:
             self.process = subprocess.Popen(command, stderr=log, cwd=self.folder, start_new_session=True)
-        until(lambda: (self.folder / "state/palpd.sock").exists() and self.state() != "away", 30.0)
+        until(lambda: (self.folder / "state/palpd.sock").exists() and self.state() != "away", "it answers", 30.0)
 
     def do(self, what: str, **more: Any) -> dict[str, Any]:
         return ask(self.folder / "state/palpd.sock", {"do": what, **more}, 60.0)
@@ -529,27 +530,8 @@ class Daemon:
             Operator(self.do).arm()
         Operator(self.do).retract()
 
-    def children(self) -> list[int]:
-        """Every process of its session but itself."""
-        pids = []
-        for stat in Path("/proc").glob("[0-9]*/stat"):
-            try:
-                words = stat.read_text().rsplit(")", 1)[1].split()
-            except OSError:
-                continue
-            if int(words[3]) == self.process.pid and int(stat.parent.name) != self.process.pid and words[0] != "Z":
-                pids.append(int(stat.parent.name))
-        return pids
-
     def recordings(self, suffix: str) -> set[Path]:
         return set((self.folder / "runs").glob(f"*{suffix}"))
-
-
-def until(true: Callable[[], bool], patience_s: float) -> None:
-    until_s = time.monotonic() + patience_s
-    while not true():
-        assert time.monotonic() < until_s, f"not within {patience_s:g} s"
-        time.sleep(0.05)
 
 
 @pytest.fixture(scope="module")
@@ -569,7 +551,7 @@ def at_rest(emulated: Emulated, since_s: float) -> bool:
 
 @pytest.mark.hil
 def test_the_cell_is_looked_at_once_at_the_start_and_found_uncalibrated(daemon: Daemon) -> None:
-    until(lambda: bool(daemon.events("checked")), 30.0)
+    until(lambda: daemon.events("checked"), "the cell was looked at", 30.0)
     (checked,) = daemon.events("checked")
     assert "palpd calibrate" in checked["reason"]
     calibrate = [sys.executable, "-m", "palpd", "calibrate", "--config", str(daemon.config)]
@@ -582,7 +564,7 @@ def test_arming_is_refused_while_the_sensor_is_dead_and_others_are_served_meanwh
     daemon.emulated.ask("silent", s=60.0)
     command = [sys.executable, "-m", "palpd", "arm", "--config", str(daemon.config)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as arming:
-        until(lambda: daemon.state() == "checking", 30.0)
+        until(lambda: daemon.state() == "checking", "it checks the devices", 30.0)
         assert daemon.state() == "checking"
         assert arming.poll() is None
         _, stderr = arming.communicate(timeout=60)
@@ -599,39 +581,39 @@ def test_arming_is_refused_while_the_robot_is_off(daemon: Daemon) -> None:
             daemon.do("arm")
     finally:
         # a controller unlocks only some seconds after the stop
-        until(lambda: "releasing" in dashboard(daemon.emulated.host, "unlock protective stop"), 15.0)
-    until(lambda: daemon.do("status")["now"]["stop"] is None, 15.0)
+        until(lambda: "releasing" in dashboard(daemon.emulated.host, "unlock protective stop"), "the stop is unlocked", 15.0, 0.05)
+    until(lambda: daemon.do("status")["now"]["stop"] is None, "the stop is over", 15.0)
 
 
 @pytest.mark.hil
 def test_killed_in_mid_run_nothing_of_it_survives_the_arm_rests_and_the_recording_is_restored(daemon: Daemon) -> None:
-    until(lambda: daemon.state() == "disarmed", 30.0)
+    until(lambda: daemon.state() == "disarmed", "it is disarmed", 30.0)
     daemon.run(SLOW, "search")
     began_s = daemon.emulated.ask("stats")["now_s"]
     daemon.process.kill()
     daemon.process.wait()
-    until(lambda: at_rest(daemon.emulated, began_s), 2.0)
-    until(lambda: daemon.children() == [], 10.0)
+    until(lambda: at_rest(daemon.emulated, began_s), "the arm rests", 2.0)
+    until(lambda: not family(daemon.process.pid), "nothing of it lives on", 10.0)
     (part,) = daemon.recordings(".part")
     restored = recover(part)
     assert restored.ticks > 100
     assert Recording.load(restored.path).rows["phase"].max() > 0
     daemon.begin()
     assert daemon.state() in ("checking", "disarmed")
-    until(lambda: daemon.state() == "disarmed", 30.0)
+    until(lambda: daemon.state() == "disarmed", "it is disarmed", 30.0)
     daemon.retract()
 
 
 @pytest.mark.hil
 def test_a_motion_process_that_dies_in_mid_run_latches_over_a_restart(daemon: Daemon) -> None:
-    until(lambda: daemon.state() == "disarmed", 30.0)
+    until(lambda: daemon.state() == "disarmed", "it is disarmed", 30.0)
     daemon.run(SLOW, "search")
-    motion = [pid for pid in daemon.children() if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+    motion = [pid for pid in family(daemon.process.pid) if "spawn_main" in command_of(pid)]
     began_s = daemon.emulated.ask("stats")["now_s"]
     for pid in motion:
         os.kill(pid, signal.SIGSEGV)
-    until(lambda: daemon.state() == "disarmed", 20.0)
-    until(lambda: at_rest(daemon.emulated, began_s), 2.0)
+    until(lambda: daemon.state() == "disarmed", "it is disarmed", 20.0)
+    until(lambda: at_rest(daemon.emulated, began_s), "the arm rests", 2.0)
     assert "signal 11" in daemon.do("status")["latched"]
     daemon.process.terminate()
     assert daemon.process.wait(20.0) == 0
@@ -640,7 +622,7 @@ def test_a_motion_process_that_dies_in_mid_run_latches_over_a_restart(daemon: Da
         daemon.do("arm")
     daemon.do("clear")
     assert daemon.do("status")["latched"] is None
-    until(lambda: daemon.state() == "disarmed", 30.0)
+    until(lambda: daemon.state() == "disarmed", "it is disarmed", 30.0)
     daemon.retract()
 
 
@@ -651,7 +633,7 @@ def test_terminated_in_mid_press_it_rests_closes_the_recording_and_ends_with_0(d
     daemon.process.send_signal(signal.SIGTERM)
     assert daemon.process.wait(20.0) == 0
     assert at_rest(daemon.emulated, began_s)
-    until(lambda: daemon.children() == [], 10.0)
+    until(lambda: not family(daemon.process.pid), "nothing of it lives on", 10.0)
     (recording,) = daemon.recordings(".mcap") - before
     assert Recording.load(recording).footer["verdict"] == "stopped"
 
@@ -661,7 +643,7 @@ def test_it_serves_where_no_device_is_there(tmp_path: Path) -> None:
     nobody = Emulated("127.0.9.79", str(tmp_path / "no-sensor"), 0, tmp_path / "no-control")
     daemon = Daemon(tmp_path, nobody)
     try:
-        until(lambda: bool(daemon.events("checked")), 30.0)
+        until(lambda: daemon.events("checked"), "the cell was looked at", 30.0)
         assert not daemon.events("checked")[0]["ready"]
         assert daemon.state() == "disarmed"
     finally:

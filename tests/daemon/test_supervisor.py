@@ -187,7 +187,6 @@ def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fresh]:
 
     yield bench_in
     for ring in rings:
-        ring.unlink()
         ring.close()
 
 

@@ -205,6 +205,11 @@ def go(robot, vz, seconds):
         robot.read(); robot.move((0.0, 0.0, vz)); time.sleep(1 / rate_Hz)
 def say(word):
     print(word, flush=True); sys.stdin.readline()
+def refusal_of(act):
+    try:
+        act(); return ""
+    except RobotError as error:
+        return str(error)
 """
         tail = "\nprint(json.dumps(out), flush=True)\nos._exit(0)\n"
         script = head + textwrap.dedent(body) + tail
@@ -326,10 +331,7 @@ def test_after_the_watchdog_has_tripped_motion_is_refused_with_its_reason(client
         go(robot, 0.005, 0.1); robot.stop()
         time.sleep(0.4)
         out["tripped"] = robot.read().runtime_state
-        try:
-            robot.move((0.0, 0.0, 0.0)); out["refusal"] = ""
-        except RobotError as error:
-            out["refusal"] = str(error)
+        out["refusal"] = refusal_of(lambda: robot.move((0.0, 0.0, 0.0)))
         out["rest"] = robot.read().target_speed[2]
         robot.close()
         """)
@@ -362,10 +364,7 @@ def test_a_second_master_is_refused_and_a_second_reader_is_not(client: Client) -
     report = client.run("""
         robot = connect()
         reader = UrReader(host, model=model, rate_Hz=rate_Hz); out["z"] = reader.read().z_m; reader.close()
-        try:
-            connect(); out["refusal"] = ""
-        except RobotError as error:
-            out["refusal"] = str(error)
+        out["refusal"] = refusal_of(connect)
         go(robot, 0.001, 0.1)
         robot.close()
         """)
@@ -383,10 +382,7 @@ def test_a_lost_connection_is_lost_for_good_and_nothing_hangs(client: Client) ->
         while robot.read().connected and time.monotonic() - began < 2:
             time.sleep(0.001)
         out["seen_s"] = time.monotonic() - began
-        try:
-            robot.move((0.0, 0.0, 0.01)); out["refusal"] = ""
-        except RobotError as error:
-            out["refusal"] = str(error)
+        out["refusal"] = refusal_of(lambda: robot.move((0.0, 0.0, 0.01)))
         began = time.monotonic(); robot.stop(); out["stop_s"] = time.monotonic() - began
         out["connected"] = robot.read().connected
         began = time.monotonic(); robot.close(); out["close_s"] = time.monotonic() - began
@@ -427,10 +423,7 @@ def test_a_protective_stop_shows_and_refuses_motion_with_its_reason(tmp_path: Pa
             say("moving")
             time.sleep(0.05)
             out["safety"] = robot.read().safety_mode
-            try:
-                robot.move((0.0, 0.0, 0.01)); out["refusal"] = ""
-            except RobotError as error:
-                out["refusal"] = str(error)
+            out["refusal"] = refusal_of(lambda: robot.move((0.0, 0.0, 0.01)))
             robot.stop(); robot.close()
             """,
             {"moving": lambda: cell.wires.ask("protective_stop")},
@@ -438,12 +431,7 @@ def test_a_protective_stop_shows_and_refuses_motion_with_its_reason(tmp_path: Pa
         assert report["safety"] == 3
         assert "its safety mode is PROTECTIVE_STOP; clear it at the teach pendant" in report["refusal"]
         cell.wires.ask("power_off")
-        report = client.run("""
-            try:
-                connect(); out["refusal"] = ""
-            except RobotError as error:
-                out["refusal"] = str(error)
-            """)
+        report = client.run("out['refusal'] = refusal_of(connect)")
         assert "RUNNING is needed; switch it on" in report["refusal"]
 
 

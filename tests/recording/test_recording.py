@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -76,10 +77,8 @@ def write(path: Path, rows: Rows, model_bytes: bytes | None = None, batch: int =
 
 @pytest.fixture
 def ring() -> Iterator[Ring]:
-    ring = Ring.create(rate_Hz=125)
-    yield ring
-    ring.close()
-    ring.unlink()
+    with closing(Ring.create(rate_Hz=125)) as ring:
+        yield ring
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -664,7 +663,6 @@ def test_rows_that_the_recorder_was_too_slow_for_are_counted(tmp_path: Path) -> 
         ring.write(row)  # five times what the ring holds, faster than the recorder looks
     recording = Recording.load(recorder.close(FOOTER))
     ring.close()
-    ring.unlink()
     assert recording.footer["lost_rows"] == 100 - len(recording.rows) > 0
     assert recording.rows["index"].tolist() == sorted(set(recording.rows["index"].tolist()))
 
@@ -714,4 +712,3 @@ def test_a_recording_that_cannot_begin_says_what_to_do_and_leaves_no_file(tmp_pa
         recorder.confirm(20.0)
     assert not list(tmp_path.iterdir())
     ring.close()
-    ring.unlink()

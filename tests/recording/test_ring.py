@@ -5,8 +5,9 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
+from contextlib import closing
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ import pytest
 
 from palpd.errors import PalpdError
 from palpd.recording.ring import LoopState, Ring
+from palpd.testing.processes import over_and_over
 from palpd.tick import ROW, Request
 
 CAPACITY = 8
@@ -22,10 +24,8 @@ CAPACITY = 8
 
 @pytest.fixture
 def ring() -> Iterator[Ring]:
-    ring = Ring.create(rate_Hz=CAPACITY, seconds=1.0)
-    yield ring
-    ring.close()
-    ring.unlink()
+    with closing(Ring.create(rate_Hz=CAPACITY, seconds=1.0)) as ring:
+        yield ring
 
 
 def put(ring: Ring, *numbers: int) -> None:
@@ -80,26 +80,20 @@ def test_a_row_begun_by_a_process_that_died_is_never_seen(ring: Ring) -> None:
 
 
 def test_no_torn_row_is_ever_returned_while_the_producer_runs_away(ring: Ring) -> None:
-    stop = threading.Event()
+    row, numbers = np.zeros((), ROW), count(1)
 
     def produce() -> None:
-        row, number = np.zeros((), ROW), 0
-        while not stop.is_set():
-            number += 1
-            row["index"], row["wrench"], row["trip_limit"] = number, number, number
-            ring.write(row[()])
+        row["index"] = row["wrench"] = row["trip_limit"] = next(numbers)
+        ring.write(row[()])
 
-    thread = threading.Thread(target=produce)
-    thread.start()
     cursor, seen, missed = 0, 0, 0
-    while seen < 2000:
-        rows, cursor, lost = ring.read(cursor)
-        assert (rows["wrench"] == rows["index"][:, None, None]).all()
-        assert (rows["trip_limit"] == rows["index"]).all()
-        seen, missed = seen + len(rows), missed + lost
-        assert seen + missed == cursor
-    stop.set()
-    thread.join()
+    with over_and_over(produce):
+        while seen < 2000:
+            rows, cursor, lost = ring.read(cursor)
+            assert (rows["wrench"] == rows["index"][:, None, None]).all()
+            assert (rows["trip_limit"] == rows["index"]).all()
+            seen, missed = seen + len(rows), missed + lost
+            assert seen + missed == cursor
 
 
 def test_each_request_reaches_the_loop_once(ring: Ring) -> None:
@@ -205,10 +199,6 @@ def test_a_ring_whose_maker_was_killed_is_swept_away_by_the_next() -> None:
     left = Path("/dev/shm") / child.stdout.strip()
     assert left.name.startswith("palpd-")
     assert left.exists()
-    mine = Ring.create(125.0)
-    try:
+    with closing(Ring.create(125.0)) as mine:
         assert not left.exists()
         assert (Path("/dev/shm") / mine.name).exists()
-    finally:
-        mine.unlink()
-        mine.close()

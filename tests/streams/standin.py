@@ -1,11 +1,10 @@
 """A service that stands in: a real control socket, a real ring, and ticks that a test writes."""
 
 import os
-import threading
 import time
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from palpd.daemon.control_socket import ControlSocket, Watching
 from palpd.recording.ring import Ring, Rows
+from palpd.testing.processes import over_and_over
 from palpd.tick import ROW, Phase
 
 RATE_Hz = 125.0
@@ -55,9 +55,6 @@ class StandIn:
         }
         self._events: deque[dict[str, Any]] = deque()
         self._socket = ControlSocket(path, lambda _: Watching({"ok": True, "event": "status", **self.state}))  # type: ignore[typeddict-item]
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
 
     def publish(self, event: str, **more: Any) -> None:
         """Send an event to all watchers; a status is also the first event of later watchers."""
@@ -71,23 +68,16 @@ class StandIn:
             self.ring.write(row)
 
     def close(self) -> None:
-        self._over.set()
-        self._thread.join()
         self._socket.close()
-        self.ring.unlink()
         self.ring.close()
 
-    def _serve(self) -> None:
-        while not self._over.is_set():
-            self._socket.poll(0.01)
-            while self._events:
-                self._socket.publish(self._events.popleft())
+    def serve(self) -> None:
+        self._socket.poll(0.01)
+        while self._events:
+            self._socket.publish(self._events.popleft())
 
 
 @contextmanager
 def standing_in(path: Path) -> Iterator[StandIn]:
-    service = StandIn(path)
-    try:
+    with closing(StandIn(path)) as service, over_and_over(service.serve):
         yield service
-    finally:
-        service.close()

@@ -7,11 +7,11 @@ import socket
 import struct
 import subprocess
 import sys
-import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from palpd.streams.force_socket import MAGIC, RECORD, VERSION, ForceRecord, Forc
 from palpd.streams.foxglove import STATUS_SCHEMA, FoxgloveServer, flat
 from palpd.streams.metrics import MetricsServer
 from palpd.streams.serving import Outputs, Stream, _is_loopback, opened
+from palpd.testing.processes import over_and_over
 from tests.paths import ROOT
 from tests.streams.standin import FZ_N, MODEL_N, StandIn, standing_in, ticks
 
@@ -182,19 +183,14 @@ def test_the_client_of_the_page_reads_the_force(served: Served) -> None:
     command = [sys.executable, str(example), str(served.stream.force.path), "3"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as client:
         until(served.stream, lambda: served.stream.force is not None and served.stream.force.read, "the client is let in")
-        over = threading.Event()
+        numbers = count()
 
         def tick() -> None:
-            for number in range(2000):
-                served.service.write(ticks(1, number))
-                if over.wait(0.01):
-                    return
+            served.service.write(ticks(1, next(numbers)))
+            time.sleep(0.01)
 
-        thread = threading.Thread(target=tick)
-        thread.start()
-        until(served.stream, lambda: client.poll() is not None, "the client has read three records")
-        over.set()
-        thread.join()
+        with over_and_over(tick):
+            until(served.stream, lambda: client.poll() is not None, "the client has read three records")
         assert client.stdout is not None
         lines = client.stdout.read().splitlines()
     assert client.returncode == 0

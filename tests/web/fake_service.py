@@ -93,7 +93,6 @@ class FakeService:
         self._listener.close()
         self.drop_watchers()
         self.path.unlink(missing_ok=True)
-        self.ring.unlink()
         self.ring.close()
 
     def _accept(self) -> None:

@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.cycloidal_conic.convert FOLDER`; later commits of the source have no `Code/test_data`.
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import torque_ramp
+from benchmarks.arena.converters import folders, torque_ramp
 
 RECORDINGS = {
     "h1.csv": ("2024-07-12__14-52-50__torqueramp__conic 2pre1.csv", 5, 25),
@@ -36,4 +33,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    torque_ramp(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS)
+    torque_ramp(*folders(__file__), RECORDINGS)

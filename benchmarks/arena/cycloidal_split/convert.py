@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.cycloidal_split.convert FOLDER`; later commits of the source have no `Code/test_data`.
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import torque_ramp
+from benchmarks.arena.converters import folders, torque_ramp
 
 RECORDINGS = {
     "h1.csv": ("2024-07-17__13-57-05__torqueramp__split 1pre1.csv", 5, 25),
@@ -35,4 +32,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    torque_ramp(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS)
+    torque_ramp(*folders(__file__), RECORDINGS)

@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.davinci_tool5_jaw.convert FOLDER`
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import davinci_tool
+from benchmarks.arena.converters import davinci_tool, folders
 
 RECORDINGS = {
     "h1.csv": ("Tool_5_Maryland_L_3/10.TXT", 0, 4, 0.2),
@@ -34,4 +31,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    davinci_tool(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS)
+    davinci_tool(*folders(__file__), RECORDINGS)

@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.dp_acrobot_ilqr.convert FOLDER`
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import double_pendulum
+from benchmarks.arena.converters import double_pendulum, folders
 
 RECORDINGS = {
     "h1.csv": "acrobot/real_hardware_v2/src_data/ilqr_tvlqr_lqr/experiment01/trajectory.csv",
@@ -28,4 +25,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    double_pendulum(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS, joint=2, rate_Hz=400, every=4)
+    double_pendulum(*folders(__file__), RECORDINGS, joint=2, rate_Hz=400, every=4)

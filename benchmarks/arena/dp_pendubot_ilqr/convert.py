@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.dp_pendubot_ilqr.convert FOLDER`
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import double_pendulum
+from benchmarks.arena.converters import double_pendulum, folders
 
 RECORDINGS = {
     "h1.csv": "pendubot/real_hardware_v2/src_data/ilqr_tvlqr_lqr/experiment02/trajectory.csv",
@@ -27,4 +24,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    double_pendulum(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS, joint=1, rate_Hz=400, every=4)
+    double_pendulum(*folders(__file__), RECORDINGS, joint=1, rate_Hz=400, every=4)

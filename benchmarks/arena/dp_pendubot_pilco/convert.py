@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.dp_pendubot_pilco.convert FOLDER`
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import double_pendulum
+from benchmarks.arena.converters import double_pendulum, folders
 
 RECORDINGS = {
     "h1.csv": "pendubot/real_hardware_v2/src_data/mcpilco/experiment01/trajectory.csv",
@@ -22,4 +19,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    double_pendulum(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS, joint=1, rate_Hz=33, every=1)
+    double_pendulum(*folders(__file__), RECORDINGS, joint=1, rate_Hz=33, every=1)

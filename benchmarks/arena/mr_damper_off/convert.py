@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.mr_damper_off.convert FOLDER`
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import mr_damper
+from benchmarks.arena.converters import folders, mr_damper
 
 RECORDINGS = {
     "h1.csv": ("ensaio1.1.mat", 0, 10),
@@ -37,4 +34,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    mr_damper(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS)
+    mr_damper(*folders(__file__), RECORDINGS)

@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.mr_damper_on.convert FOLDER`
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import mr_damper
+from benchmarks.arena.converters import folders, mr_damper
 
 RECORDINGS = {
     "h1.csv": ("ensaio5.2.2.mat", 0, 15),
@@ -34,4 +31,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    mr_damper(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS)
+    mr_damper(*folders(__file__), RECORDINGS)

@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.pneumatic_seal_1bar.convert FOLDER`
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import pneumatic_seal
+from benchmarks.arena.converters import folders, pneumatic_seal
 
 RECORDINGS = {
     "h1.csv": ("repeatability/reconnected/friction/1_O-ring257_1bar.csv", 25.7, 0, 3),
@@ -33,4 +30,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    pneumatic_seal(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS, pressure_bar=1)
+    pneumatic_seal(*folders(__file__), RECORDINGS, pressure_bar=1)

@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.pneumatic_seal_5bar.convert FOLDER`
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import pneumatic_seal
+from benchmarks.arena.converters import folders, pneumatic_seal
 
 RECORDINGS = {
     "h1.csv": ("repeatability/reconnected/friction/1_O-ring257_5bar.csv", 25.7, 0, 3),
@@ -27,4 +24,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    pneumatic_seal(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS, pressure_bar=5)
+    pneumatic_seal(*folders(__file__), RECORDINGS, pressure_bar=5)

@@ -3,10 +3,7 @@
 `python -m benchmarks.arena.silicone_soft.convert FOLDER`
 """
 
-import sys
-from pathlib import Path
-
-from benchmarks.arena.converters import silicone_press
+from benchmarks.arena.converters import folders, silicone_press
 
 RECORDINGS = {
     "h1.csv": "EF10_50T/EF10_50T_A1.csv",
@@ -34,4 +31,4 @@ RECORDINGS = {
 }
 
 if __name__ == "__main__":
-    silicone_press(Path(sys.argv[1]), Path(__file__).parent / "recordings", RECORDINGS, last_s=60)
+    silicone_press(*folders(__file__), RECORDINGS, last_s=60)
