@@ -65,6 +65,7 @@ class Job:
         back_to_m: Start pose that a palpation goes to before it begins, not below `top_z_m` on its way.
         top_z_m: Greatest height of the unfinished run.
         planted: What the recorder plants into the second channel; None: there is none. The motion process never gets it.
+        clears_latch: Its start is the operator's word that the stop before may be forgotten, once the arm could move.
     """
 
     kind: Kind
@@ -90,6 +91,7 @@ class Job:
     back_to_m: tuple[float, float, float] | None = None
     top_z_m: float = -math.inf
     planted: SealedAnswer | None = None
+    clears_latch: bool = False
 
     @property
     def moves(self) -> bool:

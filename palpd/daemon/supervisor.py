@@ -503,6 +503,8 @@ class JobRun:
                 if loop is not None and not loop.recorded:  # the abort in the trips was ours
                     report = replace(report, reason=f"the run was stopped because it was no longer recorded: {error}")
             answered = self.job.kind == "level_test" and closing.ended is not None  # what it found stands in the marker
+            if self.job.clears_latch and report.exit_code != 2:
+                self._state.clear_latch()
             died = report.exit_code == 3 and not report.trips and not answered
             stands = self.job.kind in BEGIN_LOADED and self._state.latch() is not None  # the reason of the stop before stays
             if not stands and (died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips)):

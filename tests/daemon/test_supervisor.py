@@ -3,6 +3,7 @@
 import re
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
@@ -151,6 +152,9 @@ class Bench:
 
     def latch(self) -> None:
         return None
+
+    def clear_latch(self) -> None:
+        self.did("clear latch")
 
 
 NEXT = JobRun._next
@@ -382,3 +386,16 @@ def test_a_run_whose_start_was_refused_at_its_tare_is_not_unfinished(fresh: Fres
     assert report is not None
     assert report.exit_code == 2
     assert bench.effects == ["close recording", "put marker back", "put place back to None"]
+
+
+@pytest.mark.parametrize("refused", [True, False])
+def test_a_run_that_has_begun_clears_the_latch_before_it_and_one_that_was_refused_does_not(
+    fresh: Fresh, refused: bool
+) -> None:
+    bench = fresh("Running")
+    bench.run.job = replace(bench.run.job, clears_latch=True)
+    bench.messages.append(Ended(Outcome("stopped" if refused else "done", "", refused=refused), (), (), None))
+    bench.run.poll()
+    bench.alive, bench.answered = False, True
+    bench.run.poll()
+    assert ("clear latch" in bench.effects) == (not refused)
