@@ -53,7 +53,8 @@ class Job:
         reference_date: When that was taken; None where nobody knows.
         returns_to_start: A palpation that is done returns to its start pose; in the recordings of earlier versions it did not.
         pauses_in_place: A pause stands still instead of leaving the tissue, as in the recordings of earlier versions.
-        fits_slope: The search allows for a force that changes along the way down; in the recordings of earlier versions it did not.
+        fits_slope: The search allows for a force that changes along the way down, and a site that begins in contact ends the run; in the
+            recordings of earlier versions neither was so.
         watch_s: How long devices are observed.
         lifts_first: A way up shows first that the job was not tared in contact.
         probe: What is known of the probe from before; None asks nothing of the tare.
