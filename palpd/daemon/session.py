@@ -167,7 +167,12 @@ def _watched(run: JobRun, work: Job, ring: Ring, display: Display) -> Report:
     reports: list[Report] = []
     meter = JobMeter(work, ring)
 
+    shown: list[str] = []
+
     def show_newest(show: ShowProgress) -> None:
+        if run.way_back and not shown:
+            shown.append(run.way_back)
+            display.say(f"{run.way_back[:1].upper()}{run.way_back[1:]}.")
         progress = meter.read()
         if progress is not None:
             show(progress)
