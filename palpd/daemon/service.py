@@ -129,6 +129,8 @@ class Service:
             finally:
                 _notify("STOPPING=1")
                 self._jobs.close()
+                for event in self._jobs.take_events():
+                    control.publish(event)
                 self._reports.close()
                 if self._watch is not None:
                     self._watch.end()
