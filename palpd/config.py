@@ -36,7 +36,9 @@ HEX_70_CAPACITY_N = 200.0
 """Nominal capacity of the HEX-70 of the 200 N class on every force axis; overload begins above it."""
 
 
-Span = tuple[StrictFloat, StrictFloat]
+Place = Annotated[StrictFloat, Field(ge=-10.0, le=10.0)]
+"""A place in base axes: wide enough for "no limit", and too narrow for millimetres."""
+Span = tuple[Place, Place]
 """From a least to a most."""
 
 
@@ -74,6 +76,11 @@ class RobotConfig(StrictBlock):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
+        if self.tcp is not None and (max(map(abs, self.tcp[:3])) >= 1.0 or max(map(abs, self.tcp[3:])) > 6.3):
+            raise ValueError(
+                f"tcp is {[*self.tcp]}: its first three numbers are metres, less than 1 (120 mm is 0.12), and the last three rad, "
+                "at most 6.3; write it so"
+            )
         top = {"ur5": 125.0, "ur5e": 500.0}[self.model] if self.kind == UR_RTDE else self.rate_Hz
         if self.kind != UR_RTDE and self.rtde_rate_Hz is None:
             raise ValueError(f"rtde_rate_Hz is not given; a {self.kind} needs it, because it is the rate of the loop")
@@ -165,7 +172,7 @@ class SafetyConfig(StrictBlock):
     """Torque at which the arm stops."""
     max_speed_m_per_s: StrictFloat = Field(default=0.05, ge=SLOWEST_M_PER_S, le=0.25)
     """Largest speed of any command, and the speed of free travel."""
-    min_z_m: StrictFloat | None = None
+    min_z_m: StrictFloat | None = Field(default=None, ge=-2.0, le=2.0)
     """Lowest height of the tip in base axes; null: none."""
     workspace_m: tuple[Span, Span, Span] | None = None
     """Least and most x, y and z of the tip in base axes; null: none."""
@@ -175,7 +182,7 @@ class SafetyConfig(StrictBlock):
     """Age of the sensor's newest sample at which the arm stops."""
     max_stall_s: StrictFloat = Field(default=0.05, gt=0, le=0.5)
     """Time between two ticks of the daemon at which the arm stops."""
-    expected_stiffness_N_per_m: StrictFloat = Field(default=5000.0, gt=0)
+    expected_stiffness_N_per_m: StrictFloat = Field(default=5000.0, ge=100)
     """The hardest material expected under the probe; for the predicted overshoot only."""
 
     @model_validator(mode="after")
@@ -237,19 +244,19 @@ class CheckTolerances(StrictBlock):
 
     zero_N: StrictFloat = Field(default=0.5, gt=0)
     """Zero of the sensor; the chart names any change that healthy days do not show."""
-    noise: StrictFloat = Field(default=0.5, gt=0)
+    noise: StrictFloat = Field(default=0.5, gt=0, le=5)
     """Noise of the sensor, relative."""
     drift_N_per_min: StrictFloat = Field(default=0.2, gt=0)
     """Drift of the zero during the check."""
     friction_N: StrictFloat = Field(default=0.1, gt=0)
     """Friction in free strokes."""
-    gain: StrictFloat = Field(default=0.02, gt=0)
+    gain: StrictFloat = Field(default=0.02, gt=0, le=0.5)
     """Scale of the force, relative: what the puck shows."""
-    delay_s: StrictFloat = Field(default=0.01, gt=0)
+    delay_s: StrictFloat = Field(default=0.01, gt=0, le=0.5)
     """Delay of the force."""
-    stiffness: StrictFloat = Field(default=0.1, gt=0)
+    stiffness: StrictFloat = Field(default=0.1, gt=0, le=1)
     """Stiffness of the machine, relative: what the plate shows."""
-    play_m: StrictFloat = Field(default=1e-4, gt=0)
+    play_m: StrictFloat = Field(default=1e-4, gt=0, le=0.005)
     """Play of drive or mount: what the plate shows."""
     lost_percent: StrictFloat = Field(default=1.0, gt=0, le=100)
     """Missed ticks, lost samples, missing states of the robot."""

@@ -21,10 +21,10 @@ from palpd.cli.options import (
     adopted_folder,
     app,
     check_kept,
-    clear_latch,
     display,
     finish,
     say_broken_effects,
+    say_latch,
     shown_steps,
     terminal,
 )
@@ -243,7 +243,7 @@ def resolve(
         _resolve_by_service(settings, values, first_plan, agree)
         return
     check_kept(settings)
-    clear_latch(settings)
+    say_latch(settings)
     own = adopted_folder(adopted)
     known = library(effects, adopted=own)
     if own is not None and (weighed := adopted_sentence(own, known)):

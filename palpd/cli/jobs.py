@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from palpd.cli.options import check_kept, clear_latch, display
+from palpd.cli.options import check_kept, display, say_latch
 from palpd.config import Config
 from palpd.daemon.job_client import carried_out_by_service, service_at
 from palpd.daemon.programs import ProgramEnd, program_named
@@ -39,11 +39,11 @@ def carried_out(
     from palpd.daemon.wiring import devices
 
     check_kept(config)
+    validated = program.validated(dict(arguments))
     if program.moves and program.command_arms:
-        clear_latch(config)
+        say_latch(config)
     elif program.moves and (latch := State(config.paths.state).latch()) is not None:
         raise Refused(f"the last run was stopped on {latch.date}: {latch.reason}; look at the cell, then palpd run clears it")
-    validated = program.validated(dict(arguments))
     if (most_runs := program.most_runs(validated)) > 1:
         display().say(f"This makes at most {most_runs} runs.")
     return program.carry_out(ForegroundHost(config, devices, display(), agree), validated, kept)

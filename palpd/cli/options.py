@@ -172,8 +172,8 @@ def adopted_folder(adopted: bool) -> Path | None:
     return user_folder() if adopted else None
 
 
-def clear_latch(config: "Config") -> None:
-    """Clear the latch of the last stop and show what it was: who starts a run in the foreground is the operator who may.
+def say_latch(config: "Config") -> None:
+    """Show the latch of the last stop, which a run in the foreground clears: who starts it is the operator who may.
 
     Raises:
         Refused: The cause of a protective stop must be written down first.
@@ -184,9 +184,9 @@ def clear_latch(config: "Config") -> None:
     state = State(config.paths.state)
     if asked := state.protective_stops().cause_asked:
         raise Refused(f"{asked}; palpd recover-robot asks for it")
-    latch = state.clear_latch()
+    latch = state.latch()
     if latch is not None:
-        terminal().print(f"The last run was stopped on {latch.date}: {latch.reason}. This start clears it.", style="yellow")
+        terminal().print(f"The last run was stopped on {latch.date}: {latch.reason}. A run that begins now clears it.", style="yellow")
 
 
 def place_choice(here: bool, go_back: bool) -> "Choice | None":

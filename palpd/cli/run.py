@@ -18,10 +18,10 @@ from palpd.cli.options import (
     SocketOption,
     app,
     check_kept,
-    clear_latch,
     display,
     finish,
     place_choice,
+    say_latch,
     settings_of,
     shown_steps,
     stated_address,
@@ -61,8 +61,10 @@ def run(
 
     settings, steps = settings_of(config), load_plan(plan)
     check_kept(settings)
-    clear_latch(settings)
-    report = carry_out(job("palpation", settings, steps, dry, take_reference, place_choice(here, go_back)), devices, display())
+    work = job("palpation", settings, steps, dry, take_reference, place_choice(here, go_back))
+    if not dry:
+        say_latch(settings)
+    report = carry_out(work, devices, display())
     if report.recording is not None and settings.paths.write_reports:
         begin_report(report.recording, settings.paths.runs)
     result = run_result(report)
@@ -177,7 +179,7 @@ def inject(
     elif not report:
         steps = load_plan(plan)
         check_kept(settings)
-        clear_latch(settings)
+        say_latch(settings)
         for number in range(times):  # only the first one may follow an unfinished palpation
             ended = palpate_once(settings, steps, stated, known, devices, show, choice if number == 0 else None)
             exit_code, reason = ended.exit_code, ended.reason

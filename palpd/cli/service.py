@@ -149,7 +149,8 @@ def start(
         name = f"the kept plan {kept}"
         steps = parse_plan(parse_yaml(at_once.speak({"do": "plans", "name": kept}, config, socket)["yaml"], name).content, name)
     values = steps.model_dump(mode="json")
-    print(at_once.speak({"do": "start", "plan": values, "place": place_choice(here, go_back)}, config, socket)["state"])
+    answer = at_once.speak({"do": "start", "plan": values, "place": place_choice(here, go_back)}, config, socket)
+    print(": ".join([answer["state"], *([answer["way_back"]] if "way_back" in answer else [])]))
 
 
 @app.command(examples=["palpd pause --config cell/config.yaml"])

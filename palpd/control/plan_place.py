@@ -69,3 +69,19 @@ def question(last: PlanPlace | None, x_m: float, y_m: float, choice: Choice | No
         f"the run {last.run} of {last.date} was not finished, and the arm stands {away_m * 1e3:.0f} mm from where it began{stands}: sites "
         "would count from another place"
     )
+
+
+def way_back(last: PlanPlace, x_m: float, y_m: float) -> tuple[float, str]:
+    """How far a run goes back to where an unfinished one began, and the sentence that says so before anything moves.
+
+    Args:
+        last: Place of the last palpation.
+        x_m: Tip in base axes.
+        y_m: Tip in base axes.
+
+    Returns:
+        The way sideways in m, and the sentence.
+    """
+    away_m = math.hypot(x_m - last.start_m[0], y_m - last.start_m[1])
+    start = ", ".join(f"{at_m:.3f}" for at_m in last.start_m)
+    return away_m, f"the arm goes {away_m * 1e3:.0f} mm sideways, to ({start}) m, where the run {last.run} of {last.date} began"

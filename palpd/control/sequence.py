@@ -243,14 +243,22 @@ class Script(ABC):
         while self.pause_asked:
             self.observation = yield self.standing()
 
-    def lift(self) -> Steps:
-        """Go `LEVEL_M` straight up and come back: where the run was tared in contact, the force changes on the way."""
+    def lift(self, rest_N: tuple[float, ...] = (0.0, 0.0, 0.0), begins: str = "tared in contact") -> Steps:
+        """Go `LEVEL_M` straight up and come back: where the probe touches something, the force changes on the way.
+
+        Args:
+            rest_N: force (3,) before the way, base axes.
+            begins: begins the sentence that ends the run.
+
+        Raises:
+            ScriptEnded: the force changed.
+        """
         self.note(phase=Phase.LIFT)
-        changed_N = yield from self.rise((0.0, 0.0, 0.0))
+        changed_N = yield from self.rise(rest_N)
         if changed_N > LIFT_N:
             risen_m = self.observation.robot.z_m - self.home[2]
             raise ScriptEnded(
-                f"tared in contact: the force changed by {changed_N:.2f} N over the first {risen_m * 1e3:.1f} mm straight up, expected at "
+                f"{begins}: the force changed by {changed_N:.2f} N over the first {risen_m * 1e3:.1f} mm straight up, expected at "
                 f"most {LIFT_N:g} N; palpd retract leaves what the probe touches"
             )
         yield from self.go_to(self.home[2], min(FREE_SPEED_M_PER_S, self.arm.max_speed_m_per_s))
@@ -363,6 +371,11 @@ class Script(ABC):
             wrenches.extend(self.observation.contact.tared.tolist())
         return tuple(math.fsum(axis) / len(wrenches) for axis in zip(*wrenches, strict=True))
 
+    def newest_fz_N(self) -> float:
+        """Return the newest force on the tip, tared and not compensated; nan where this tick has none."""
+        tared = self.observation.contact.tared
+        return _mean(tared[:, 2]) if len(tared) else math.nan
+
     def tip_z_m(self) -> float:
         """Return the tip's height: the reported height plus the give of sensor and arm, which the encoders do not see."""
         return self.observation.robot.z_m + self.observation.contact.mean_N / self.arm.machine_stiffness_N_per_m
@@ -400,7 +413,13 @@ class Palpation(Script):
         for index, site in enumerate(self.plan.sites):
             self.note(site=index, mode=Mode.NONE, depth_m=math.nan, surface_z_m=math.nan, repeat=-1, cut_short=False)
             self.note(clear_z_m=self.home[2] - CLEAR_BELOW_HOME_M)
+            before_N = self.newest_fz_N()
             yield from self.travel(origin_m[0] + site.x_m, origin_m[1] + site.y_m)
+            if self.fits_slope and abs(self.newest_fz_N() - before_N) > LIFT_N:
+                self.note(clear_z_m=math.inf)
+                rest_N = (yield from self.mean_wrench(LIFT_WINDOW_S))[:3]
+                yield from self.lift(rest_N, f"site {site.name} begins in contact")
+                self.note(clear_z_m=self.home[2] - CLEAR_BELOW_HOME_M)
             yield from self.move_freely()
             if not self.plan.depths_m:
                 continue

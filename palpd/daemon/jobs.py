@@ -69,7 +69,7 @@ class Jobs:
         self.current: JobRecord | None = None
         self._worker: WorkerProcess | None = None
         self._killed: list[WorkerProcess] = []
-        self._runs = False
+        self._runs, self._stopped = False, ""
         self._end_by_s: float | None = None
         self._past: deque[JobRecord] = deque(maxlen=KEPT_JOBS)
         self._events: list[dict[str, object]] = []
@@ -200,6 +200,7 @@ class Jobs:
     def report(self, report: Report) -> None:
         """Pass on how a run ended, or that it was refused."""
         record, self._runs = self.current, False
+        self._stopped = report.reason if report.verdict == "stopped" else ""
         if record is None:
             return
         if self._worker is None:
@@ -221,16 +222,16 @@ class Jobs:
             self._end("cancelled", "aborted while no run was under way; nothing moved", 3)
 
     def close(self) -> None:
-        """The service ends: so does the worker."""
+        """The service ends: so does the worker. A run that this has stopped is the end of its job, which alarms tell of."""
         if self.current is not None:
-            self._end("cancelled", "the service ended", 3)
+            self._end("stopped" if self._stopped else "cancelled", self._stopped or "the service ended", 3)
 
     def _recorded(self, program: str, by: str, most_runs: int) -> JobRecord:
         name = recording_name(program)
         taken = {record.id for record in self.all()}
         job_id = next(each for each in (name, *(f"{name}-{number}" for number in range(2, KEPT_JOBS + 3))) if each not in taken)
         self.current = JobRecord(job_id, program, by, most_runs, now())
-        self._runs, self._end_by_s = False, None
+        self._runs, self._stopped, self._end_by_s = False, "", None
         return self.current
 
     def _propose(self, motion: dict[str, Any]) -> None:

@@ -53,7 +53,8 @@ class Job:
         reference_date: When that was taken; None where nobody knows.
         returns_to_start: A palpation that is done returns to its start pose; in the recordings of earlier versions it did not.
         pauses_in_place: A pause stands still instead of leaving the tissue, as in the recordings of earlier versions.
-        fits_slope: The search allows for a force that changes along the way down; in the recordings of earlier versions it did not.
+        fits_slope: The search allows for a force that changes along the way down, and a site that begins in contact ends the run; in the
+            recordings of earlier versions neither was so.
         watch_s: How long devices are observed.
         lifts_first: A way up shows first that the job was not tared in contact.
         probe: What is known of the probe from before; None asks nothing of the tare.
@@ -65,6 +66,7 @@ class Job:
         back_to_m: Start pose that a palpation goes to before it begins, not below `top_z_m` on its way.
         top_z_m: Greatest height of the unfinished run.
         planted: What the recorder plants into the second channel; None: there is none. The motion process never gets it.
+        clears_latch: Its start is the operator's word that the stop before may be forgotten, once the arm could move.
     """
 
     kind: Kind
@@ -90,6 +92,7 @@ class Job:
     back_to_m: tuple[float, float, float] | None = None
     top_z_m: float = -math.inf
     planted: SealedAnswer | None = None
+    clears_latch: bool = False
 
     @property
     def moves(self) -> bool:

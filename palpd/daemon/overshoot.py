@@ -3,7 +3,9 @@
 import math
 from typing import TypedDict
 
+from palpd.cell.plausible import PLAUSIBLE
 from palpd.config import Config, Plan, filter_delay_s, refuse_unsafe
+from palpd.control.slopes import GRAVITY_N_PER_KG
 from palpd.daemon.stored_state import SOFTEST_N_PER_M
 from palpd.errors import ConfigError
 
@@ -11,6 +13,8 @@ LINK_S = 0.001
 """Time from a byte of the sensor to the daemon's buffer. Measured on the emulated line; a USB line was never measured."""
 CONTROLLER_CYCLES = 2.0
 """Cycles from a speed command to its effect: it waits for the next cycle and acts in the one after."""
+BLUNTEST_M = PLAUSIBLE["tip radius"].high
+"""Largest radius of a tip that a palpation counts with."""
 WALLS_N_PER_M = (1000.0, 5000.0, 20000.0)
 """Stiffnesses that the forecast covers besides the expected one: soft tissue, firm tissue, a board."""
 
@@ -100,10 +104,20 @@ def refuse_together(config: Config, plan: Plan) -> None:
     """Refuse limits and a plan that do not fit each other.
 
     Raises:
-        ConfigError: They do not fit, or the stated machine is too soft to be one.
+        ConfigError: They do not fit, the stated machine is too soft to be one, or the probe too heavy or too blunt.
     """
     refuse_unsafe(config, plan)
     refuse_overload(config, plan)
+    probe, weight_N = config.cell.probe, config.cell.probe.mass_kg * GRAVITY_N_PER_KG
+    if weight_N >= config.sensor.capacity_N:
+        raise ConfigError(
+            f"cell.probe.mass_kg is {probe.mass_kg:g}, a weight of {weight_N:.0f} N, beyond the sensor's {config.sensor.capacity_N:g} N; "
+            "write it in kg (200 g is 0.2)"
+        )
+    if probe.tip_radius_m > BLUNTEST_M:
+        raise ConfigError(
+            f"cell.probe.tip_radius_m is {probe.tip_radius_m:g}, expected at most {BLUNTEST_M:g} m; write it in metres (0.5 mm is 0.0005)"
+        )
     stated_N_per_m = config.machine.stiffness_N_per_m
     if stated_N_per_m is not None and stated_N_per_m < SOFTEST_N_PER_M:
         raise ConfigError(

@@ -9,7 +9,9 @@ A protective stop within a minute after the one before asks for its cause: nothi
 import datetime
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator
 
 from palpd.errors import BadInput
 from palpd.tick import RobotMode, SafetyMode
@@ -172,12 +174,23 @@ def stop_of(seen: ControllerSeen) -> StopName | None:
 # --- protective stops, and what caused them -------------------------------------------------------------------------------------
 
 
+def _dated(date: str) -> str:
+    """The date; ValueError where it is none or has no time zone, which pydantic turns into a fault of the file."""
+    if datetime.datetime.fromisoformat(date).tzinfo is None:
+        raise ValueError("no time zone")
+    return date
+
+
+Date = Annotated[str, AfterValidator(_dated)]
+"""Date and time with time zone, ISO 8601."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProtectiveStop:
     """A protective stop, dates in ISO 8601: when it was seen, when its end was seen (empty: it was not), and its cause as `by` wrote it."""
 
-    date: str
-    over: str = ""
+    date: Date
+    over: Date | Literal[""] = ""
     cause: str = ""
     by: str = ""
     written: str = ""

@@ -16,7 +16,7 @@ import numpy as np
 import structlog
 
 from palpd.config import Config, Plan, parse_plan
-from palpd.control.plan_place import ANSWERS, Choice, question
+from palpd.control.plan_place import ANSWERS, Choice, question, way_back
 from palpd.daemon.arming import Arming
 from palpd.daemon.control_socket import ControlSocket, Later, Watching
 from palpd.daemon.controller_watch import ControllerWatch
@@ -129,6 +129,8 @@ class Service:
             finally:
                 _notify("STOPPING=1")
                 self._jobs.close()
+                for event in self._jobs.take_events():
+                    control.publish(event)
                 self._reports.close()
                 if self._watch is not None:
                     self._watch.end()
@@ -269,6 +271,8 @@ class Service:
         self._begin_run(work, recording_name("palpation"))
         self._jobs.begin_run("run", self._controls.asking(time.monotonic()))
         self._log.info("started", sites=len(plan.sites))
+        if pose and work.last is not None and work.back_to_m is not None:
+            return {"state": "running", "way_back": way_back(work.last, pose[0], pose[1])[1]}
         return {"state": "running"}
 
     def _go_up(self, kind: Literal["retract", "level_test"]) -> ControlAnswer:

@@ -16,7 +16,7 @@ from palpd.daemon.display import Display, ShowProgress
 from palpd.daemon.finding import Finding
 from palpd.daemon.interrupts import Interrupted, held, leave_within, received, shielded, waited_s
 from palpd.daemon.job_progress import JobMeter
-from palpd.daemon.motion_job import Job, Kind
+from palpd.daemon.motion_job import BEGIN_LOADED, Job, Kind
 from palpd.daemon.overshoot import refuse_together
 from palpd.daemon.probe_record import probe_record
 from palpd.daemon.program_host import ProgramHost, ProposedMotion
@@ -118,6 +118,8 @@ def measured_job(
 def carry_out(work: Job, build: Build, display: Display, name: str | None = None) -> Report:
     """Do a job from opening the devices to the closed recording. SIGINT, SIGTERM and SIGHUP abort it at any moment.
 
+    It clears the latch of a stop once it has begun, but for a way out of the tissue; a job that is refused leaves it.
+
     Args:
         build: Opens robot and sensor.
         display: Shows the progress.
@@ -131,6 +133,7 @@ def carry_out(work: Job, build: Build, display: Display, name: str | None = None
         Interrupted: A signal came before anything moved, or after the last motion.
     """
     run: JobRun | None = None
+    work = replace(work, clears_latch=work.moves and work.kind not in BEGIN_LOADED)
 
     def abort() -> None:
         if run is not None:
@@ -161,7 +164,12 @@ def _watched(run: JobRun, work: Job, ring: Ring, display: Display) -> Report:
     reports: list[Report] = []
     meter = JobMeter(work, ring)
 
+    shown: list[str] = []
+
     def show_newest(show: ShowProgress) -> None:
+        if run.way_back and not shown:
+            shown.append(run.way_back)
+            display.say(f"{run.way_back[:1].upper()}{run.way_back[1:]}.")
         progress = meter.read()
         if progress is not None:
             show(progress)

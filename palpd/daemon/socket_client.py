@@ -246,6 +246,7 @@ class ControlAnswer(TypedDict, total=False):
     ended: str | None
     plans: list[KeptPlan]
     yaml: str
+    way_back: str
 
 
 def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> ControlAnswer:

@@ -47,8 +47,8 @@ def checked(config_file: Path, plan_file: Path | None, accept_implausible: bool 
     check_folder(config.paths.runs, config.paths.state)
     if config.model.path is not None:
         InertialModel.load(config.model.path, probe_mass_kg=config.cell.probe.mass_kg)
-    heights = [config.safety.min_z_m, *(config.safety.workspace_m[2] if config.safety.workspace_m else ())]
-    odd = [doubt for height_m in heights if height_m is not None for doubt in doubts("height", height_m, "a height of safety")]
+    heights = config.safety.workspace_m[2] if config.safety.workspace_m else ()
+    odd = [doubt for height_m in heights for doubt in doubts("height", height_m, "a height of safety")]
     ask([*odd, *doubts_of_cell(config.cell)], accept_implausible, f"correct {config_file.name}")
     return config, plan
 

@@ -4,13 +4,13 @@ import datetime
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast
 
-from pydantic import AfterValidator, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ContactMarker, LevelTested, ProbeIdentity
-from palpd.daemon.robot_stops import ProtectiveStops
+from palpd.daemon.robot_stops import Date, ProtectiveStops
 from palpd.daemon.setup.commission import Commission
 from palpd.documents import read_json
 from palpd.errors import BadInput, ConfigError, Refused
@@ -82,12 +82,6 @@ class Latch:
     date: str
 
 
-def _dated(date: str) -> str:
-    """The date; ValueError where it is none, which pydantic turns into a fault of the file."""
-    datetime.datetime.fromisoformat(date)
-    return date
-
-
 @dataclass(frozen=True, slots=True)
 class LastCheck:
     """How the last morning check ended: its date, its level (`ok`, `warn`, `stop`; `open` until it has ended), and its sentence.
@@ -95,7 +89,7 @@ class LastCheck:
     `number` is that of the last check that was kept in a folder of runs, also where that folder is another one by now; 0: not known.
     """
 
-    date: Annotated[str, AfterValidator(_dated)]
+    date: Date
     level: Literal["ok", "warn", "stop", "open"]
     sentence: str
     number: int = 0
@@ -158,9 +152,8 @@ class State:
     def latch(self) -> Latch | None:
         """The reason of a stop that no operator has cleared; a file that cannot be read is one too. None where there is none."""
         try:
-            values = self._read("latch")
-            return Latch(**values) if values is not None else None
-        except (ConfigError, TypeError):
+            return self._kept("latch", Latch, "no latch")
+        except ConfigError:
             return Latch(f"the reason kept in {self.folder / 'latch.json'} cannot be read", "an unknown date")
 
     def place(self) -> PlanPlace | None:

@@ -14,8 +14,9 @@ from enum import Enum
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from palpd.control.plan_place import ANSWERS, PlanPlace, question
+from palpd.control.plan_place import ANSWERS, PlanPlace, question, way_back
 from palpd.control.probe_state import ProbeAnswer, ProbeEvidence, ProbeState
+from palpd.control.sequence import ORIGIN_LIMIT_M
 from palpd.daemon import motion_process as motion
 from palpd.daemon.contact_marker import END_S, MarkedRun
 from palpd.daemon.devices import Build
@@ -234,6 +235,7 @@ class JobRun:
         self.job, self._ring, self._state, self._name = job, ring, state, name
         self._abort_cause, self._kill_at_s, began_s = "", math.inf, time.monotonic()
         self.unkept = ""  # why the state folder could not be written
+        self.way_back = ""  # where the arm goes first, once that is known
         self._stage: Stage = Opening(began_s)
         self._first_tick, self._watch = ring.published, TickWatch(ring.published, began_s)
         ring.state = LoopState.STARTING
@@ -395,6 +397,12 @@ class JobRun:
             asked = question(job.last, opened.pose[0], opened.pose[1], job.choice)
             if asked is not None:
                 return self._refuse(opened, f"{asked}; {ANSWERS}")
+        if job.back_to_m is not None and job.last is not None:
+            away_m, self.way_back = way_back(job.last, opened.pose[0], opened.pose[1])
+            if away_m > ORIGIN_LIMIT_M:
+                return self._refuse(
+                    opened, f"{self.way_back}, expected at most {ORIGIN_LIMIT_M * 1e3:g} mm; move the arm nearer, or give --here instead"
+                )
         header = header_of(job, opened.about, opened.reference, opened.pose)
         model = job.config.model.path if job.kind == "palpation" else None
         folder = job.config.paths.runs
@@ -503,6 +511,8 @@ class JobRun:
                 if loop is not None and not loop.recorded:  # the abort in the trips was ours
                     report = replace(report, reason=f"the run was stopped because it was no longer recorded: {error}")
             answered = self.job.kind == "level_test" and closing.ended is not None  # what it found stands in the marker
+            if self.job.clears_latch and report.exit_code != 2:
+                self._state.clear_latch()
             died = report.exit_code == 3 and not report.trips and not answered
             stands = self.job.kind in BEGIN_LOADED and self._state.latch() is not None  # the reason of the stop before stays
             if not stands and (died or any(Trip[trip["trip"]] not in UNLATCHED for trip in report.trips)):

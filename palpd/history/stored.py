@@ -24,7 +24,7 @@ from palpd.files import is_growing
 RECORDING, PART = ".mcap", ".part"
 REMARKS, REPORT, DIAGNOSIS, CHECK, INJECTION = ".remarks.json", ".report.html", ".diagnosis.json", ".check.json", ".injection.json"
 LAST = "last"
-"""Stands for the recording that was closed last."""
+"""Stands for the recording that ended last, by its own time: that of a file is lost in a copy."""
 LEVELS = 2
 """Levels of folders below that of the runs: demos and surveys make one. More would search a whole disk where `/` is given."""
 MOST_LETTERS = 100
@@ -183,7 +183,9 @@ def recording_named(name: str, folder: Path) -> Path:
     if not recordings:
         raise RecordingError(f"there is no recording in {folder}; palpd run makes one")
     if name == LAST:
-        return max(recordings.values(), key=lambda each: (each.stamp.written_ns, each.name)).path
+        from palpd.recording.mcap_file import ended_ns  # the page's server names none so, and needs no reader of recordings
+
+        return max(recordings.values(), key=lambda each: (ended_ns(each.path) or each.stamp.written_ns, each.name)).path
     asked = name.removesuffix(RECORDING)
     if asked in recordings:
         return recordings[asked].path

@@ -23,6 +23,7 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Metadata, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from mcap.writer import CompressionType, Writer
@@ -65,6 +66,16 @@ _CHUNK_BYTES = struct.calcsize("<QQQIIQ")
 def part_of(path: Path) -> Path:
     """Return the name of FILE.mcap while it is unfinished."""
     return path.with_suffix(".part")
+
+
+def ended_ns(path: Path) -> int | None:
+    """Unix time of the last tick, by the summary at the end of a recording; None where that cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+    except (OSError, *_UNREADABLE):
+        return None
+    return summary.statistics.message_end_time if summary is not None and summary.statistics is not None else None
 
 
 class RecordingWriter:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 from pathlib import Path
 from typing import get_args
 
@@ -13,6 +14,7 @@ from palpd.cli import app
 from palpd.daemon.motion_job import STILL_KINDS, Kind
 from palpd.errors import BadInput, PalpdError, RecordingError
 from palpd.history.course import read_course
+from palpd.history.stored import recording_named
 from tests.history.conftest import runs, simulated
 
 __all__ = ["runs", "simulated"]
@@ -149,3 +151,12 @@ def test_what_cannot_be_done_is_one_sentence(runs: Path, tmp_path: Path) -> None
 def test_one_word_that_is_wrong_tags_no_run(runs: Path) -> None:
     assert "nothing" in refusal("runs", "day-0", "nothing", "--tag", "good", "--folder", runs)
     assert not (runs / "day-0.remarks.json").exists()
+
+
+def test_the_last_run_is_that_which_was_recorded_last_whatever_the_times_of_the_files(runs: Path) -> None:
+    days = sorted(runs.glob("day-*.mcap"))
+    for age, path in enumerate(days):
+        os.utime(path, (2e9 - age, 2e9 - age))
+    assert recording_named("last", runs) == days[-1]
+    os.utime(days[-1], (1.0, 1.0))
+    assert recording_named("last", runs) == days[-1]

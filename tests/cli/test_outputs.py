@@ -243,8 +243,10 @@ def test_empty_files_are_refused(home: Path) -> None:
     [
         ("model: {path: missing.onnx}", "missing"),
         ("paths: {runs: /proc/nope}", "cannot be written"),
-        ("safety: {min_z_m: 1.0e+9}", "a height of safety is 1e+09 m, expected -2 to 2 m"),
-        ("cell: {probe: {mass_kg: 200.0}}", "probe.mass_kg is 200 kg, expected 0 to 5 kg"),
+        ("safety: {workspace_m: [[-1.0, 1.0], [-1.0, 1.0], [0.0, 5.0]]}", "a height of safety is 5 m, expected -2 to 2 m"),
+        ("cell: {probe: {mass_kg: 10.0}}", "probe.mass_kg is 10 kg, expected 0 to 5 kg"),
+        ("cell: {probe: {mass_kg: 200.0}}", "a weight of 1962 N, beyond the sensor's 200 N; write it in kg"),
+        ("cell: {probe: {tip_radius_m: 0.5}}", "tip_radius_m is 0.5, expected at most 0.1 m; write it in metres (0.5 mm is 0.0005)"),
     ],
 )
 def test_a_configuration_is_not_sound_with_what_cannot_be_used(home: Path, text: str, words: str) -> None:
@@ -253,7 +255,7 @@ def test_a_configuration_is_not_sound_with_what_cannot_be_used(home: Path, text:
 
 
 def test_an_implausible_configuration_is_sound_once_it_is_accepted(home: Path) -> None:
-    (home / "odd.yaml").write_text("cell: {probe: {mass_kg: 200.0}}")
+    (home / "odd.yaml").write_text("cell: {probe: {mass_kg: 10.0}}")
     assert "--accept-implausible" in str(refused("check-config", "odd.yaml"))
     assert CliRunner().invoke(app, ["check-config", "odd.yaml", "--accept-implausible"]).exit_code == 0
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from palpd.control.plan_place import ANSWERS, SAME_PLACE_M, Choice, PlanPlace, question
+from palpd.control.plan_place import ANSWERS, SAME_PLACE_M, Choice, PlanPlace, question, way_back
 
 LAST = PlanPlace("yesterday", "run-7", (0.4, 0.1), (0.4, 0.1, 0.13), 0.135, (("A", 0.0, 0.0), ("B", 0.09, 0.0)))
 
@@ -34,3 +34,10 @@ def test_the_site_under_the_tip_is_the_nearest_within_a_tips_radius() -> None:
     assert LAST.site_under(0.4, 0.1) == "A"
     assert LAST.site_under(0.4949, 0.1) == "B"
     assert LAST.site_under(0.44, 0.1) is None
+
+
+def test_a_way_back_says_which_run_began_there_and_how_far_it_is() -> None:
+    away_m, sentence = way_back(LAST, LAST.start_m[0] + 0.04, LAST.start_m[1])
+    assert away_m == pytest.approx(0.04)
+    assert sentence.startswith(f"the arm goes 40 mm sideways, to ({LAST.start_m[0]:.3f}, ")
+    assert sentence.endswith(f"where the run {LAST.run} of {LAST.date} began")

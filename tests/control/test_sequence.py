@@ -1,5 +1,6 @@
 """The palpation sequence, on the cell's own physics without wires."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -188,19 +189,25 @@ def test_free_strokes_come_before_the_presses_or_instead_of_them() -> None:
     assert phases.index(Phase.FREE_MOTION) < phases.index(Phase.SEARCH) < phases.index(Phase.PRESS)
 
 
-@pytest.mark.parametrize(("standing_N", "why"), [(5.0, "touches something already"), (-1.5, "zero moves, or its sign is wrong")])
-def test_a_force_that_stands_there_when_the_search_begins_is_no_surface(standing_N: float, why: str) -> None:
-    sequence = Sequence(Palpation(ONE, ArmGeometry(tip_radius_m=0.005, contact_limit_N=12.0, max_speed_m_per_s=0.05, delay_s=0.001)))
-    now_s, x_m, y_m, z_m, phase = 10.0, 0.0, 0.0, 0.03, Phase.IDLE
+def stepped(sequence: Sequence, force_N: Callable[[Phase, float], float]) -> list[Phase]:
+    """Carry out a sequence on an arm that follows at once, with that force by phase and x; the phase of each tick."""
+    phases, now_s, x_m, y_m, z_m = [Phase.IDLE], 10.0, 0.0, 0.0, 0.03
     while not sequence.over and now_s < 60.0:
         pose = (x_m, y_m, z_m, np.pi, 0.0, 0.0)
         seen = replace(robot(now_s), tcp_pose=pose, target_pose=pose)
         tared = np.zeros((8, 6))
-        tared[:, 2] = standing_N if phase == Phase.SEARCH else 0.0
+        tared[:, 2] = force_N(phases[-1], x_m)
         proposal = sequence.step(observation(now_s, robot=seen, contact=contact(tared=tared)))
-        phase = proposal.progress.phase
+        phases.append(proposal.progress.phase)
         x_m, y_m, z_m = (at + 0.008 * v for at, v in zip((x_m, y_m, z_m), proposal.command.velocity_m_per_s, strict=True))
         now_s += 0.008
+    return phases
+
+
+@pytest.mark.parametrize(("standing_N", "why"), [(5.0, "touches something already"), (-1.5, "zero moves, or its sign is wrong")])
+def test_a_force_that_stands_there_when_the_search_begins_is_no_surface(standing_N: float, why: str) -> None:
+    sequence = Sequence(Palpation(ONE, ArmGeometry(tip_radius_m=0.005, contact_limit_N=12.0, max_speed_m_per_s=0.05, delay_s=0.001)))
+    stepped(sequence, lambda phase, _: standing_N if phase == Phase.SEARCH else 0.0)
     assert sequence.failure is not None
     assert why in sequence.failure
 
@@ -400,6 +407,27 @@ def test_a_run_that_was_tared_in_the_tissue_ends_on_its_first_way_up(kind: Kind,
     assert done.rows["command_m_per_s"][:, 2].min() >= 0.0, "nothing goes down"
     assert done.rows["command_m_per_s"][:, 2].max() <= 0.005
     assert not done.outcome.level
+
+
+@pytest.mark.parametrize("mode", ["static", "dynamic"])
+@pytest.mark.parametrize("depth_m", [0.002, 0.004])
+def test_a_site_that_begins_in_contact_ends_the_run(mode: str, depth_m: float) -> None:
+    """Its surface stands above the height of travel: a search from 4 mm deep gave 116 kPa for 62.5, and "done"."""
+    high = {"name": "B", "x_m": 0.03, "tissue": {"surface_z_m": 0.010 + depth_m}}
+    cell = cell_file(sites=[{"name": "A"}, high])
+    plan = Plan.model_validate({"sites": [{"name": "A"}, {"name": "B", "x_m": 0.03}], "depths_m": [0.004], "mode": mode, "repeats": 1})
+    done = run(Job("palpation", Config(), plan), cell, home_above_m=0.010)
+    assert done.outcome.verdict == "stopped"
+    assert done.outcome.reason.startswith("site B begins in contact: the force changed by 0.5")
+    assert done.rows["command_m_per_s"][done.rows["site"] == 1, 2].min() >= 0.0, "nothing goes down there"
+
+
+def test_a_force_that_changes_on_the_way_to_a_site_and_not_with_the_height_is_no_contact() -> None:
+    plan = Plan.model_validate({"sites": [{"name": "A", "x_m": 0.01}], "depths_m": [0.004]})
+    sequence = Sequence(Palpation(plan, ArmGeometry(tip_radius_m=0.005, contact_limit_N=12.0, max_speed_m_per_s=0.05, delay_s=0.001)))
+    phases = stepped(sequence, lambda _, x_m: 0.6 if x_m > 0.005 else 0.0)
+    assert phases.index(Phase.TRAVEL) < phases.index(Phase.LIFT) < phases.index(Phase.SEARCH)
+    assert "no contact of 1 N was met" in str(sequence.failure)
 
 
 def test_a_run_in_free_air_comes_back_from_its_first_way_up_and_finds_the_same_moduli() -> None:

@@ -399,3 +399,23 @@ def test_the_page_of_jobs_lists_every_request_argument_and_key_of_the_status(ser
     section = page.partition("## Status")[2].partition("| key of `now` |")[0]
     listed = set(re.findall(r"`(\w+)`", " ".join(re.findall(r"^\|([^|]*)\|", section, re.MULTILINE))))
     assert do(service, "status").keys() - {"ok"} <= listed
+
+
+@pytest.mark.parametrize(
+    ("report", "verdict", "reason"),
+    [
+        (Report("stopped", "the operator aborted the run (SIGTERM)", 3), "stopped", "the operator aborted the run (SIGTERM)"),
+        (Report("done"), "cancelled", "the service ended"),
+    ],
+)
+def test_a_job_whose_run_the_end_of_the_service_has_stopped_is_stopped_for_whoever_watches(
+    service: Service, report: Report, verdict: str, reason: str
+) -> None:
+    """Alarms tell of what was stopped, and of nothing that was cancelled."""
+    _, worker = begun(service, "map")
+    hears(service, worker, PRESS)
+    over(service, report)
+    service._jobs.take_events()
+    service._jobs.close()
+    (event,) = service._jobs.take_events()
+    assert (event["verdict"], event["reason"]) == (verdict, reason)

@@ -200,10 +200,12 @@ def test_a_latch_is_cleared_by_an_operator_only(service: Service) -> None:
     assert isinstance(service.answer({"do": "arm"}), Later)
 
 
-def test_a_latch_that_cannot_be_read_is_one(service: Service) -> None:
+@pytest.mark.parametrize("text", ["{half", '{"reason": 5, "date": null}'])
+def test_a_latch_that_cannot_be_read_is_one(service: Service, text: str) -> None:
     service._state.keep("calibration", TARE)
-    (service._state.folder / "latch.json").write_text("{half")
+    (service._state.folder / "latch.json").write_text(text)
     assert "cannot be read" in refusal(service, do="arm")
+    assert "cannot be read" in str(status(service)["now"]["sentence"])
     service.answer({"do": "clear"})
     assert isinstance(service.answer({"do": "arm"}), Later)
 
@@ -260,9 +262,11 @@ def test_a_second_protective_stop_within_a_minute_is_armed_over_only_with_a_caus
     assert isinstance(service.answer({"do": "arm"}), Later)
 
 
-def test_protective_stops_that_cannot_be_read_ask_for_a_cause(service: Service) -> None:
+@pytest.mark.parametrize("date", ["{half", "yesterday", "", "2026-07-14T12:00:00"])
+def test_protective_stops_that_cannot_be_read_ask_for_a_cause(service: Service, date: str) -> None:
     service._state.keep("calibration", TARE)
-    (service._state.folder / "protective.json").write_text("{half")
+    stops = json.dumps({"stops": [{"date": "2026-07-14T12:00:00+02:00"}, {"date": date}]})
+    (service._state.folder / "protective.json").write_text(date if date == "{half" else stops)
     assert "cannot be read" in refusal(service, do="arm")
     assert service.answer({"do": "clear", "cause": "a full disk"})["ok"]  # type: ignore[index]
     assert isinstance(service.answer({"do": "arm"}), Later)

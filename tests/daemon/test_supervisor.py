@@ -3,6 +3,7 @@
 import re
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import pytest
 
 from palpd.config import Plan, PlanSite, parse_config
 from palpd.control.loop import Outcome
+from palpd.control.plan_place import PlanPlace
 from palpd.control.probe_state import ProbeAnswer, ProbeState
 from palpd.daemon import supervisor
 from palpd.daemon.motion_job import Job
@@ -151,6 +153,9 @@ class Bench:
 
     def latch(self) -> None:
         return None
+
+    def clear_latch(self) -> None:
+        self.did("clear latch")
 
 
 NEXT = JobRun._next
@@ -381,3 +386,25 @@ def test_a_run_whose_start_was_refused_at_its_tare_is_not_unfinished(fresh: Fres
     assert report is not None
     assert report.exit_code == 2
     assert bench.effects == ["close recording", "put marker back", "put place back to None"]
+
+
+@pytest.mark.parametrize("refused", [True, False])
+def test_a_run_that_has_begun_clears_the_latch_before_it_and_one_that_was_refused_does_not(fresh: Fresh, refused: bool) -> None:
+    bench = fresh("Running")
+    bench.run.job = replace(bench.run.job, clears_latch=True)
+    bench.messages.append(Ended(Outcome("stopped" if refused else "done", "", refused=refused), (), (), None))
+    bench.run.poll()
+    bench.alive, bench.answered = False, True
+    bench.run.poll()
+    assert ("clear latch" in bench.effects) == (not refused)
+
+
+@pytest.mark.parametrize(("away_m", "effects"), [(0.2, ["begin recorder"]), (0.31, ["send called off", "end motion", "end witness"])])
+def test_a_way_back_is_said_before_anything_moves_and_a_long_one_is_refused(fresh: Fresh, away_m: float, effects: list[str]) -> None:
+    bench = fresh("Opening")
+    last = PlanPlace("today", "the-run-before", (away_m, 0.0), (away_m, 0.0, 0.0), 0.005, (("A", 0.0, 0.0),))
+    bench.run.job = replace(bench.run.job, last=last, choice="return", back_to_m=last.start_m)
+    EVENTS["devices open"](bench)
+    bench.run.poll()
+    assert bench.effects == effects
+    assert bench.run.way_back.startswith(f"the arm goes {away_m * 1e3:.0f} mm sideways, to ({away_m:.3f}, 0.000, 0.000) m")
