@@ -70,6 +70,8 @@ RISE_END_N = 0.5
 only while the arm moves; so `LIFT_N` is judged at rest."""
 CAUGHT_N = 2.0
 """Pull against the way up, and growth of the press on it, at which `palpd retract` gives up: wet tissue clings with less than 1 N."""
+LEAST_AIR_M = 2e-4
+"""Least way of a search through the air: twice what a surface is uncertain by. With less the search may have begun in the tissue."""
 FREE_STROKE_M = 0.02
 """Stroke of the training motion: long enough to reach every speed of a plan."""
 FREE_CYCLES = 10
@@ -526,6 +528,11 @@ class Palpation(Script):
                 f"{force_N:.1f} N were met, but the way down does not show where: the surface is uncertain by {2e3 * sigma_m:.1f} mm, "
                 f"expected at most {2e3 * UNSURE_M:g} mm; a cable pulls, the sensor's zero drifts, or the search began too near. Look at "
                 "the cable, let the sensor warm up, or start higher above the tissue"
+            )
+        if self.fits_slope and height_m[0] - surface_z_m < LEAST_AIR_M:
+            raise SurfaceNotFound(
+                f"the search began at z = {height_m[0]:.4f} m, and the surface lies at {surface_z_m:.4f} m: the probe may have touched the "
+                "tissue already, and then neither depth nor modulus counts from its surface; start higher above the tissue"
             )
         self.note(surface_z_m=surface_z_m, clear_z_m=surface_z_m + CLEAR_SHARE * self.plan.safe_height_m)
         yield from self.leave(surface_z_m, self.arm.max_speed_m_per_s)

@@ -9,7 +9,7 @@ import pytest
 
 from palpd.analysis import results
 from palpd.cell.cell_file import CellFile
-from palpd.config import Config, Plan
+from palpd.config import Config, Plan, PlanSite
 from palpd.control.sequence import ArmGeometry, Palpation, Sequence
 from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.simulated_run import SimulatedRecording, run
@@ -210,6 +210,16 @@ def test_a_force_that_stands_there_when_the_search_begins_is_no_surface(standing
     stepped(sequence, lambda phase, _: standing_N if phase == Phase.SEARCH else 0.0)
     assert sequence.failure is not None
     assert why in sequence.failure
+
+
+@pytest.mark.parametrize(("modulus_Pa", "deep_m"), [(5_000, 0.004), (62_500, 0.001), (62_500, 0.0001), (143_000, 0.0005)])
+def test_a_site_that_stands_higher_than_the_start_is_not_searched_from_within(modulus_Pa: float, deep_m: float) -> None:
+    high = {"youngs_modulus_Pa": modulus_Pa, "surface_z_m": 0.03 + deep_m}
+    cell = cell_file(tissue=None, sites=[{"name": "A", "tissue": None}, {"name": "B", "x_m": 0.02, "tissue": high}])
+    done = ran(cell, ONE.model_copy(update={"sites": (PlanSite(name="B", x_m=0.02),)}))
+    assert done.outcome.verdict == "stopped"
+    assert done.outcome.reason.endswith("start higher above the tissue")
+    assert not (done.rows["phase"] == Phase.PRESS).any()
 
 
 # --- a pause ------------------------------------------------------------------------------------------------------------------
