@@ -27,7 +27,7 @@ HEAD = """\
 # Recordings of other rigs
 
 What the diagnosis answers on public recordings that nobody here made, beside what their makers say or show about them. The recordings
-are not in the repository, since their licences differ. `python benchmarks/real_recordings.py FOLDER` writes this page.
+are not in the repository, since their licences differ. `python benchmarks/real_recordings.py FOLDER --docs docs` writes this page.
 
 An answer is *right* if it names a known cause, alone or with its group, and nothing else. Where something outside the list acts, the
 right answer is `unknown`; what is named beside it is a cause or the nearest mimic. An answer is *partly right* if it names a known cause

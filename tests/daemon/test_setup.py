@@ -13,6 +13,7 @@ import pytest
 from palpd.config import Config, load_config
 from palpd.daemon.display import NoDisplay
 from palpd.daemon.finding import Finding
+from palpd.daemon.robot_stops import ProtectiveStops
 from palpd.daemon.setup import flow
 from palpd.daemon.setup.cell import NoOperator, SetupCell
 from palpd.daemon.setup.commission import Commission, StepResult, seen
@@ -21,6 +22,7 @@ from palpd.daemon.setup.flow import STEPS, SetupStep, set_up
 from palpd.daemon.setup.report import ASSUMPTIONS, measured_cell
 from palpd.daemon.setup.watchdog import SILENT_S, SPOKEN_S, SilentRobot, stopped_after_s
 from palpd.daemon.starting_files import write_starting_files
+from palpd.daemon.stored_state import now
 from palpd.errors import BadInput, ConfigError, Refused, SensorError
 from palpd.migration import with_values
 from palpd.tick import ROW, Robot
@@ -115,6 +117,14 @@ def test_a_step_that_moves_is_not_offered_after_a_failure_or_without_what_it_nee
     assert flow.missing_for(flow.STEPS[2], failed) == ["two"]
     assert flow.missing_for(flow.STEPS[2], Commission({"one": StepResult("", "skipped"), "two": StepResult("", "skipped")})) == ["one"]
     assert flow.missing_for(flow.STEPS[2], Commission({"one": StepResult("", "warn"), "two": StepResult("", "skipped")})) == []
+
+
+def test_a_step_that_moves_waits_for_the_written_cause_of_a_second_protective_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps(monkeypatch)
+    setup, operator = cell(tmp_path, "go", "go", "go", "stop")
+    setup.state.keep("protective", ProtectiveStops().begin(now(), moved=True).begin(now(), moved=True))
+    assert verdicts(set_up(setup)) == {"one": "ok", "two": "ok", "three": "fail"}
+    assert any("its cause must be written down. Do: palpd recover-robot" in shown for shown in operator.shown)
 
 
 def test_a_step_is_skipped_redone_and_refused_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

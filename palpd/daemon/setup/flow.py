@@ -117,6 +117,8 @@ def _done(cell: SetupCell, step: SetupStep, title: str) -> bool:
 
 
 def _attempt(cell: SetupCell, step: SetupStep) -> Sequence[Finding]:
+    if step.moves and (asked := cell.state.protective_stops().cause_asked):
+        return [Finding(step.name, "fail", asked, "palpd recover-robot asks for it; then redo this step")]
     latch = cell.state.latch() if step.moves else None
     if latch is not None:
         question = f"The last run was stopped on {latch.date}: {latch.reason}. Have you looked at the cell, and may it be cleared?"
