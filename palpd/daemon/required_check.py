@@ -1,8 +1,10 @@
 """The motion of a morning check, and the refusal of a palpation that lacks one."""
 
+import math
 from datetime import datetime
 
 from palpd.config import Config, Plan, PlanSite, Search, Strokes
+from palpd.control.plan_place import SITE_REACH_M, PlanPlace
 from palpd.daemon.stored_state import LastCheck
 from palpd.errors import Refused
 
@@ -25,6 +27,28 @@ def check_plan(config: Config) -> Plan:
         search=Search(max_travel_m=check.search_m),
         free=Strokes(strokes=STROKES),
     )
+
+
+def still_on_the_check(place: PlanPlace, last: PlanPlace | None, plate: bool) -> str:
+    """Question a palpation that presses what the last check has pressed, because the arm was not moved away from there.
+
+    Args:
+        place: Where its sites count from.
+        last: Place of the palpation before.
+        plate: Whether a rigid plate lies where a check begins.
+
+    Returns:
+        The sentence; empty where there is no question.
+    """
+    if last is None or [site[0] for site in last.sites] != [PUCK] or [site[0] for site in place.sites] == [PUCK]:
+        return ""
+    pressed = {"puck": (last.origin_m[0] + last.sites[0][1], last.origin_m[1] + last.sites[0][2])}
+    pressed |= {"plate": last.start_m[:2]} if plate else {}
+    for name, x_m, y_m in place.sites:
+        for what, there_m in pressed.items():
+            if math.dist((place.origin_m[0] + x_m, place.origin_m[1] + y_m), there_m) <= SITE_REACH_M:
+                return f"site {name} is where the check before this run pressed its {what}; repeat the run if the arm was to be moved first"
+    return ""
 
 
 def refuse_unchecked(config: Config, plan: Plan, last: LastCheck | None, now: datetime) -> None:

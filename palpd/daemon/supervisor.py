@@ -25,6 +25,7 @@ from palpd.daemon.interrupts import shielded
 from palpd.daemon.motion_job import BEGIN_LOADED, Job, Kind
 from palpd.daemon.motion_process import CALLED_OFF, GO, Ended, Failed, Message, Observed, Opened, ReferenceTaken
 from palpd.daemon.realtime import DEVICE_PRIORITY
+from palpd.daemon.required_check import still_on_the_check
 from palpd.daemon.robot_stops import protective
 from palpd.daemon.run_header import header_of, place_of
 from palpd.daemon.silence import explained
@@ -520,6 +521,9 @@ class JobRun:
         if protective(report.trips):
             self._state.keep("protective", self._state.protective_stops().begin(now(), moved=self.job.moves))
         last_ticks = last_ticks_of(self._rows(LAST_TICKS)) if report.exit_code == 3 else ()
+        if loop is not None and loop.place is not None:
+            doubt = still_on_the_check(loop.place, self.job.last, self.job.config.check.plate)
+            notes = (*notes, doubt) if doubt else notes
         if loop is not None and loop.place is not None and report.verdict == "done":
             self._state.keep("place", replace(loop.place, returned=True))
         marked = loop.marked if loop is not None else None

@@ -1,7 +1,7 @@
 """The morning check as a program: runs of the real sequence on a simulated cell, the files that it keeps, and what a palpation needs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from palpd.daemon.interrupts import Interrupted
 from palpd.daemon.motion_job import Job, Kind
 from palpd.daemon.program_host import ProposedMotion
 from palpd.daemon.programs import PROGRAMS, CheckArguments
-from palpd.daemon.required_check import check_plan, refuse_unchecked
+from palpd.daemon.required_check import check_plan, refuse_unchecked, still_on_the_check
 from palpd.daemon.simulated_run import run
 from palpd.daemon.stored_state import LastCheck, Latch, State, now
 from palpd.daemon.supervisor import Report
@@ -281,3 +281,12 @@ def test_no_plate_is_pressed_where_the_last_palpation_did_not_return_before_the_
     assert State(config.paths.state).place() == last, "the word counted for a check that Ctrl-C has ended before it moved"
     end = PROGRAMS["check"].carry_out(host, CheckArguments(here=True), Path())
     assert (end.verdict, end.figures["level"]) == ("done", "ok")
+
+
+def test_a_palpation_over_the_plate_of_the_last_check_is_questioned_and_a_check_is_not() -> None:
+    check = PlanPlace("today", "check", (0.4, 0.1), (0.4, 0.1, 0.2), 0.205, (("puck", 0.03, 0.0),), returned=True)
+    run = replace(check, run="run", sites=(("A", 0.1, 0.0), ("B", 0.001, 0.0)))
+    assert "site B is where the check before this run pressed its plate" in still_on_the_check(run, check, plate=True)
+    assert not still_on_the_check(run, check, plate=False)
+    assert not still_on_the_check(check, check, plate=True)
+    assert not still_on_the_check(run, run, plate=True)

@@ -408,3 +408,17 @@ def test_a_way_back_is_said_before_anything_moves_and_a_long_one_is_refused(fres
     bench.run.poll()
     assert bench.effects == effects
     assert bench.run.way_back.startswith(f"the arm goes {away_m * 1e3:.0f} mm sideways, to ({away_m:.3f}, 0.000, 0.000) m")
+
+
+@pytest.mark.parametrize(("puck_m", "named"), [(0.003, True), (0.03, False)])
+def test_a_run_on_the_puck_of_the_check_before_it_says_so(fresh: Fresh, puck_m: float, named: bool) -> None:
+    """Who forgot to move the arm after the morning check got the modulus of the puck as that of site A, without a word."""
+    bench = fresh("Running")
+    check = PlanPlace("today", "the-check", (0.0, 0.0), (0.0, 0.0, 0.0), 0.005, (("puck", puck_m, 0.0),), returned=True)
+    bench.run.job = replace(bench.run.job, last=check)
+    bench.messages.append(Ended(Outcome("done"), (), (), None))
+    bench.run.poll()
+    bench.alive, bench.answered = False, True
+    report = bench.run.poll()
+    assert report is not None
+    assert any("site A is where the check before this run pressed its puck" in note for note in report.notes) == named
