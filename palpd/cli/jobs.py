@@ -43,7 +43,7 @@ def carried_out(
     if program.moves and program.command_arms:
         say_latch(config)
     elif program.moves and (latch := State(config.paths.state).latch()) is not None:
-        raise Refused(f"the last run was stopped on {latch.date}: {latch.reason}; look at the cell, then palpd run clears it")
+        raise Refused(f"the last run was stopped on {latch.date}: {latch.reason}; look at the cell, then palpd clear")
     if (most_runs := program.most_runs(validated)) > 1:
         display().say(f"This makes at most {most_runs} runs.")
     return program.carry_out(ForegroundHost(config, devices, display(), agree), validated, kept)

@@ -89,6 +89,30 @@ def _request(following: str, cause_asked: str | None) -> "ControlRequest":
     return {"do": following}
 
 
+def cleared_alone(config: "Config", cause: str | None) -> None:
+    """Clear the latch where no service answers, by the rules of the service.
+
+    Args:
+        config: Configuration of the cell.
+        cause: What caused the last protective stop, where the operator states it.
+
+    Raises:
+        Refused: A contact is unfinished, or the cause of a protective stop must be written down.
+    """
+    from palpd.daemon.known_cell import KnownCell
+    from palpd.daemon.stored_state import State
+    from palpd.errors import Refused
+
+    known = KnownCell(State(config.paths.state))
+    if known.unfinished:
+        raise Refused("a contact is unfinished; palpd retract leaves the tissue, or palpd level-test shows a free probe, then palpd clear")
+    if cause is not None:
+        known.write_cause(cause, getuser())
+    elif asked := known.protective_stops.cause_asked:
+        raise Refused(f"{asked}; palpd clear --cause TEXT does it")
+    known.clear()
+
+
 def recovered_alone(config: "Config") -> RecoveryEnd:
     """Follow the controller itself until the arm may move, where no service reads it, and ask for a cause that must be written down.
 

@@ -180,8 +180,17 @@ def clear(
     ] = None,
 ) -> None:
     """Clear the latch of the last stop, after looking at the cell."""
+    from palpd.cli.recovery import cleared_alone
+    from palpd.daemon.socket_client import NoDaemon
+
     request: ControlRequest = {"do": "clear"} if cause is None else {"do": "clear", "cause": cause}
-    print(at_once.speak(request, config, socket)["state"])
+    try:
+        print(at_once.speak(request, config, socket)["state"])
+    except NoDaemon:
+        if socket is not None:
+            raise
+        cleared_alone(settings_of(config), cause)
+        print("cleared; no service answers")
 
 
 @app.command(

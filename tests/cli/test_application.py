@@ -26,7 +26,6 @@ from palpd.config import load_config
 from palpd.control.plan_place import ANSWERS
 from palpd.daemon import interrupts
 from palpd.daemon.kept_plans import rehearsed_config_sha256
-from palpd.daemon.stored_state import Latch, State
 from palpd.errors import PalpdError, Refused
 from tests.paths import ROOT
 from tests.web.fake_service import FakeService
@@ -346,23 +345,6 @@ def test_a_readable_configuration_names_the_one_daemon_that_is_asked(tmp_path: P
     with pytest.raises(Refused, match="no daemon answers at"):
         at_once.abort(written(tmp_path, "paths: {state: kept}"), None)
     assert other.requests == []
-
-
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        (["run"], "there is no reference tare"),
-        (["run", "--return", "--take-reference"], "no palpation is unfinished"),
-        (["run", "--here", "--return"], "contradict each other"),
-    ],
-)
-def test_a_command_that_is_refused_leaves_the_stop_before_it_latched(tmp_path: Path, command: list[str], words: str) -> None:
-    config, state = written(tmp_path, "paths: {state: kept}"), State(tmp_path / "kept")
-    (tmp_path / "plan.yaml").write_text("{sites: [{name: A}], depths_m: [0.004]}")
-    state.keep("latch", Latch("the lateral force was 9 N", "yesterday"))
-    done = CliRunner().invoke(app, [*command, "--config", str(config), "--plan", str(tmp_path / "plan.yaml")])
-    assert words in str(done.exception or done.output)
-    assert state.latch() is not None
 
 
 @pytest.mark.parametrize("text", [*UNREADABLE, "safety: {contact_limit_N: yes}"])
