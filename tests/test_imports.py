@@ -11,10 +11,10 @@ ROOT = Path(__file__).parents[1]
 
 OF_BENCHMARKS = {
     "blind/test_calibration.py": {"calibrate"},
-    "blind/test_neighbours.py": {"neighbours"},
     "blind/test_own_simulators.py": {"own_models", "own_simulators"},
     "blind/test_own_sysid.py": {"own_models"},
     "blind/test_real_recordings.py": {"real_recordings"},
+    "blind/test_scored_batches.py": {"blind_errors", "neighbours"},
     "browser/test_setup.py": {"setup"},
     "cli/test_fuzz_lines.py": {"fuzz_commands"},
     "cli/test_output_options.py": {"fuzz_commands"},
