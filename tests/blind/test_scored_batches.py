@@ -1,19 +1,19 @@
 """What pages say of the scored batches in the repository is what these show."""
 
-from benchmarks import blind_errors
+from benchmarks.blind_errors import OF_THE_TABLES, lines
+from benchmarks.blind_errors import PAGE as DIAGNOSIS
 from benchmarks.neighbours import BATCHES, PAGE, batches_in, table, ways, with_one_effect
 
 
 def test_the_page_is_what_the_batches_show() -> None:
     _, outcomes = batches_in(BATCHES)
-    lines = table(with_one_effect(outcomes))
-    assert "\n".join(lines) in PAGE.read_text(encoding="utf-8")
+    assert "\n".join(table(with_one_effect(outcomes))) in PAGE.read_text(encoding="utf-8")
 
 
 def test_the_errors_of_the_blind_check_are_what_the_batches_show() -> None:
-    outcomes = [outcome for file in blind_errors.OF_THE_TABLES for outcome in batches_in(file)[1]]
+    outcomes = [outcome for file in OF_THE_TABLES for outcome in batches_in(file)[1]]
     assert len(outcomes) == 2850
-    assert "\n".join(blind_errors.lines(outcomes)) in blind_errors.PAGE.read_text(encoding="utf-8")
+    assert "\n".join(lines(outcomes)) in DIAGNOSIS.read_text(encoding="utf-8")
 
 
 def test_an_effect_that_is_named_instead_counts_as_such_unless_its_group_holds_the_planted_one() -> None:
