@@ -165,7 +165,12 @@ def record(ring: Ring, pipe: Connection) -> None:
         return
     ring.recorder_cursor, ring.recorder_lost, ring.recorder_errno = cursor, 0, 0
     ring.recorder_state = RecorderState.WRITING
-    pipe.send(None)
+    try:
+        pipe.send(None)
+    except OSError:  # the supervisor waits no longer: its run was refused
+        writer.abandon()
+        ring.recorder_state = RecorderState.ABSENT
+        return
     sentence = None
     try:
         footer = _empty_into(writer, ring, cursor, pipe)

@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from palpd.errors import BadInput, RecordingError
 from palpd.recording import cdr
 from palpd.recording.mcap_file import RecordingWriter, part_of
 from palpd.recording.reader import RecordedRobot, RecordedSensor, Recording, Rows, export, same_rows, samples_of, widened
-from palpd.recording.recorder import Recorder
+from palpd.recording.recorder import Recorder, record
 from palpd.recording.recovery import recover
 from palpd.recording.ring import RecorderState, Ring
 from palpd.recording.samples import COLUMNS, read_csv
@@ -205,6 +206,15 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
     writer.abandon()
     assert (tmp_path / "other.mcap").read_bytes() == b"came in between"
     assert path.read_bytes() == before
+
+
+def test_a_recorder_whose_supervisor_waits_no_longer_ends_without_a_traceback(tmp_path: Path, ring: Ring) -> None:
+    ours, recorders = Pipe()
+    ours.send((tmp_path / "a.mcap", HEADER, None, None, ring.published))
+    ours.close()
+    with recorders:
+        record(ring, recorders)
+    assert ring.recorder_state == RecorderState.ABSENT
 
 
 def test_a_folder_that_is_not_there_is_refused_with_a_sentence(tmp_path: Path) -> None:
@@ -610,7 +620,7 @@ def test_when_the_supervisor_is_killed_the_ring_is_emptied_and_the_part_stays(tm
 import os, sys, time
 import numpy as np
 from pathlib import Path
-from palpd.recording.recorder import Recorder
+from palpd.recording.recorder import Recorder, record
 from palpd.recording.ring import Ring
 from palpd.tick import ROW
 ring = Ring.create(125)
