@@ -58,6 +58,7 @@ SECTIONS = {
     "slopes": Section("Moduli by a sensor with two slopes of Fz", None, "-m benchmarks.slopes"),
     "cold": Section("Runs from cold", None, "-m benchmarks.cold"),
     "imports": Section("Importing a million rows", None, "-m benchmarks.imports"),
+    "diagnosis": Section("The cost of a diagnosis", None, "-m benchmarks.diagnosis_cost"),
     "catalogue": Section("Looking back at runs", None, "-m benchmarks.catalogue"),
     "mutation": Section("Mutation of guard, tare and frame parser", None, "benchmarks/mutation.py"),
 }
