@@ -63,8 +63,8 @@ def record(path: Path, rows: int, rate_Hz: float, seed: int, effects: dict[str, 
 
 
 def diagnosed_s(recording: Path, cell: Path) -> float:
-    """Diagnose a recording, and return the processor time of the command."""
-    outputs = ["--json", str(recording.with_suffix(".json")), "--cell-out", str(recording.with_suffix(".enriched.yaml")), "--force"]
+    """Diagnose a recording, write beside its cell file, and return the processor time of the command."""
+    outputs = ["--json", str(cell.with_suffix(".json")), "--cell-out", str(cell.with_suffix(".enriched.yaml")), "--force"]
     processor_s, _ = timed([sys.executable, "-m", "palpd", "diagnose", str(recording), "--cell", str(cell), *outputs])
     return processor_s
 
