@@ -26,7 +26,8 @@ MOST_EXPLAINED = 0.8
 def lines(outcomes: Sequence[CaseOutcome]) -> list[str]:
     """One line of the page for each kind of error."""
     usual = [one for one in outcomes if not one["extra"]]
-    healthy, coarse = ([one for one in cells if one["kind"] == "healthy"] for cells in (usual, [one for one in outcomes if one["extra"]]))
+    healthy = [one for one in usual if one["kind"] == "healthy"]
+    coarse = [one for one in outcomes if one["extra"] and one["kind"] == "healthy"]
     two = [one for one in usual if one["kind"] == "two"]
     both = [one for one in two if set(one["planted"]) <= set(one["named"])]
     small = [

@@ -106,11 +106,7 @@ def cleared_alone(config: "Config", cause: str | None) -> None:
     known = KnownCell(State(config.paths.state))
     if known.unfinished:
         raise Refused("a contact is unfinished; palpd retract leaves the tissue, or palpd level-test shows a free probe, then palpd clear")
-    if cause is not None:
-        known.write_cause(cause, getuser())
-    elif asked := known.protective_stops.cause_asked:
-        raise Refused(f"{asked}; palpd clear --cause TEXT does it")
-    known.clear()
+    known.clear(cause, getuser())
 
 
 def recovered_alone(config: "Config") -> RecoveryEnd:

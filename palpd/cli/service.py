@@ -150,7 +150,7 @@ def start(
         steps = parse_plan(parse_yaml(at_once.speak({"do": "plans", "name": kept}, config, socket)["yaml"], name).content, name)
     values = steps.model_dump(mode="json")
     answer = at_once.speak({"do": "start", "plan": values, "place": place_choice(here, go_back)}, config, socket)
-    print(": ".join([answer["state"], *([answer["way_back"]] if "way_back" in answer else [])]))
+    print(f"{answer['state']}: {answer['way_back']}" if "way_back" in answer else answer["state"])
 
 
 @app.command(examples=["palpd pause --config cell/config.yaml"])

@@ -11,7 +11,7 @@ from palpd.daemon.robot_stops import ControllerSeen, ProtectiveStops
 from palpd.daemon.socket_client import KnownPlace, KnownProbe, KnownProtectiveStop
 from palpd.daemon.stored_state import Latch, State, now
 from palpd.daemon.supervisor import Report
-from palpd.errors import ConfigError
+from palpd.errors import ConfigError, Refused
 from palpd.tick import SafetyMode
 
 Kept = TypeVar("Kept")
@@ -54,8 +54,21 @@ class KnownCell:
         """The stop that nobody has cleared."""
         return self._unkept or self._state.latch()
 
-    def clear(self) -> None:
-        """Forget the stop, for an operator."""
+    def clear(self, cause: object, by: str) -> None:
+        """Forget the stop, for an operator, who writes down the cause of a protective stop with it.
+
+        Args:
+            cause: The operator's words; None: none.
+            by: Who the operator is.
+
+        Raises:
+            BadInput: The cause is none, or none is to be written down.
+            Refused: A cause is asked for, or a file of the state folder cannot be written.
+        """
+        if cause is not None:
+            self.write_cause(cause, by)
+        elif asked := self.protective_stops.cause_asked:
+            raise Refused(f"{asked}; palpd clear --cause TEXT does it")
         self._unkept = None
         self._state.clear_latch()
 

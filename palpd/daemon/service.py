@@ -357,14 +357,10 @@ class Service:
     def _clear(self, request: ControlRequest) -> ControlAnswer:
         """Clear the latch: the operator's word that the cell was looked at. The cause of a protective stop is written down with it."""
         self._refuse("clear")
-        cause, asked = request.get("cause"), self._known.protective_stops.cause_asked
-        if asked and cause is None:
-            raise Refused(f"{asked}; palpd clear --cause TEXT does it")
+        cause, by = request.get("cause"), self._controls.asking(time.monotonic())
+        self._known.clear(cause, by)
         if cause is not None:
-            by = self._controls.asking(time.monotonic())
-            self._known.write_cause(cause, by)
             self._log.info("cause of a protective stop written", cause=cause, by=by)
-        self._known.clear()
         self._log.info("cleared")
         return {"state": "disarmed"}
 

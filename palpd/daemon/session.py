@@ -163,7 +163,6 @@ def _watched(run: JobRun, work: Job, ring: Ring, display: Display) -> Report:
     """Show the progress until the run is over. A terminal that is gone hides nothing of how it ended."""
     reports: list[Report] = []
     meter = JobMeter(work, ring)
-
     shown: list[str] = []
 
     def show_newest(show: ShowProgress) -> None:

@@ -188,11 +188,9 @@ class State:
         except BadInput as error:
             raise Refused(f"{error}; make room there, or run as the service's user") from error
 
-    def clear_latch(self) -> Latch | None:
-        """Clear the latch, which only an operator may do, and return what it was; None where there was none."""
-        latch = self.latch()
+    def clear_latch(self) -> None:
+        """Clear the latch, which only an operator may do."""
         self.forget("latch")
-        return latch
 
     def holds(self, name: str) -> bool:
         """Whether there is a state file of that name, readable or not."""

@@ -6,10 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from palpd.daemon.stored_state import Latch, State, now
 from tests.cli.test_history import refusal, runs, simulated, typed
 from tests.history.test_injections import NOTHING, injected
-from tests.paths import ROOT
 
 __all__ = ["runs", "simulated"]
 
@@ -53,11 +51,3 @@ def test_who_looks_at_a_run_of_palpd_inject_learns_that_nothing_planted_is_in_it
     assert "is a run of palpd inject" not in typed("analyse", runs / "day-0.mcap").stdout
     assert "1-injection: injection, 2026" in typed("info", path).stdout
     assert "injection done" in typed("runs", "--folder", runs).stdout
-
-
-def test_a_run_that_is_refused_leaves_the_latch_of_the_stop_before(config: Path) -> None:
-    state = State(config.parent / "state")
-    state.keep("latch", Latch("the lateral force was 9 N", now()))
-    for words in (["run", "--plan", ROOT / "plan.yaml"], ["stiffness"], ["resolve", "--here"], ["inject", "--plan", ROOT / "plan.yaml"]):
-        refusal(*words, "--config", config)
-        assert state.latch() is not None, words

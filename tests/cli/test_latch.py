@@ -23,7 +23,10 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> State:
     return state
 
 
-@pytest.mark.parametrize("command", ["run", "inject", "resolve", "map --config config.yaml", "stiffness", "free-motion --out f.mcap"])
+@pytest.mark.parametrize(
+    "command",
+    ["run", "inject", "resolve", "resolve --here", "map --config config.yaml", "stiffness", "free-motion --out f.mcap"],
+)
 def test_a_command_that_is_refused_leaves_the_latch(state: State, command: str) -> None:
     assert "there is no reference tare" in refusal(*command.split())
     assert state.latch() == STOP
