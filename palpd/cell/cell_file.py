@@ -144,6 +144,9 @@ class Repeatability(StrictBlock):
     """Relative stiffness."""
 
 
+MASS_TOLERANCE = 0.015
+"""Error of a stated mass, over it, where the file says nothing of it."""
+
 CROSSTALK_ARM_M = 0.05
 """What a relative crosstalk is multiplied with to give torque per force."""
 
@@ -298,7 +301,7 @@ class CellFile(StrictBlock):
             "tolerances": {
                 "bias_N": 0.4 * sensor.noise_rms_N,
                 "drift_N_per_min": 0.2 * sensor.noise_rms_N,
-                "mass_kg": 0.015 * probe.mass_kg,
+                "mass_kg": MASS_TOLERANCE * probe.mass_kg,
                 "surface_z_m": 0.006 * probe.tip_radius_m,
             },
             "repeatability": {"surface_z_m": 0.004 * probe.tip_radius_m},
@@ -334,7 +337,7 @@ class CellFile(StrictBlock):
         own, common = self.at_site(name).tissue, self.tissue or TissueBlock()
         if own is None or own.youngs_modulus_Pa != common.youngs_modulus_Pa:
             return self
-        return self.with_modulus_tolerance(max(self.tolerances.youngs_modulus, 1.0))
+        return self.with_tolerances(youngs_modulus=max(self.tolerances.youngs_modulus, 1.0))
 
     def with_effects(self, effects: EffectValues) -> "CellFile":
         """The same cell with these effects in place of its own (not checked: they come from a fit)."""
@@ -344,9 +347,9 @@ class CellFile(StrictBlock):
         """The same cell without effects and learned laws."""
         return self.model_copy(update={"effects": {}, "learned": ()})
 
-    def with_modulus_tolerance(self, youngs_modulus: float) -> "CellFile":
-        """The same cell whose modulus has this relative tolerance; 1.0 or more: it is not known."""
-        return self.model_copy(update={"tolerances": self.tolerances.model_copy(update={"youngs_modulus": youngs_modulus})})
+    def with_tolerances(self, **tolerances: float) -> "CellFile":
+        """The same cell with these tolerances (not checked); a modulus with 1.0 or more is not known."""
+        return self.model_copy(update={"tolerances": self.tolerances.model_copy(update=tolerances)})
 
     def with_estimated(self, estimated: Estimated | None) -> "CellFile":
         """The same cell with these in-tolerance deviations; None: without any."""

@@ -160,7 +160,8 @@ def diagnose_files(
         samples = [read_recording(path, site) for path in recordings]
         before = [read_recording(path, site, learns=True) for path in healthy]
         stated = None if cell is None else load_cell(cell, known)
-        nominal, simulators = since_healthy(before, stated, known, samples)
+        reference = healthy_reference(before, stated, known, samples)
+        nominal, known, simulators = reference.learned.compared_cell, reference.learned.library, [*map(reference.simulator, samples)]
     else:
         samples, nominal = _read(recordings, cell, known, site)
         simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
@@ -172,10 +173,10 @@ def diagnose_files(
     return diagnosis
 
 
-def since_healthy(
+def healthy_reference(
     healthy: Sequence[Samples], cell: CellFile | None, known: Mapping[str, Effect], now: Sequence[Samples]
-) -> tuple[CellFile, list[UserSimulator]]:
-    """The nominal of a comparison with a healthy cell: its cell file, and one simulator for each recording.
+) -> HealthyReference:
+    """What recordings are compared with: the cell as it was while healthy, and the effects that may be present beside it.
 
     Args:
         cell: The cell file of the healthy cell; None: estimated from these recordings.
@@ -188,8 +189,7 @@ def since_healthy(
     cell = cell_from(first_cell(healthy).content, "the cell of the healthy recordings") if cell is None else cell
     cell = stated_cell(cell.at_site(common_site(healthy)))
     check_recordings([*healthy, *now], cell, sized=False)
-    reference = HealthyReference.of(healthy, cell, known)
-    return reference.learned.compared_cell, [reference.simulator(recording) for recording in now]
+    return HealthyReference.of(healthy, cell, known)
 
 
 def limits_of_files(

@@ -10,7 +10,7 @@ recording to recording, or between the parts of a single one. Beyond the heights
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import stdtrit
 
-from palpd.cell.cell_file import CellFile, Tolerances
+from palpd.cell.cell_file import MASS_TOLERANCE, CellFile, Tolerances
 from palpd.cell.dynamics import lowpass, play, steps
 from palpd.cell.effects import Effect
 from palpd.cell.physics import physics
@@ -28,9 +28,10 @@ from palpd.cell.simulation import predict_motion, wrench_of
 from palpd.cell.span import Constants, TipMotion
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.errors import RecordingError
+from palpd.gap.beside_healthy import FRICTION
 from palpd.gap.data.noise import CHANNELS, FZ, Z, declared_rms
 from palpd.gap.data.phases import Ints
-from palpd.gap.user_simulator import CONTACT_COLUMN, MotionColumns, SimulatorDoubt, UserSimulator, asked
+from palpd.gap.user_simulator import CONTACT_COLUMN, MotionColumns, OwnParameter, SimulatorDoubt, UserSimulator, asked
 from palpd.recording.oddities import dead
 from palpd.recording.samples import WRENCH_COLUMNS, Samples
 from palpd.tick import Floats
@@ -61,6 +62,8 @@ PARTS = 4
 """Parts of a single recording that take the place of several."""
 ROUNDS = 12
 """Rounds in which the variances of the weights are estimated."""
+RUBS = ("direction", "reversal", "speed")
+"""First words of the terms of fz that act against a motion."""
 MOST_ERRORS = 24
 """Errors of the weights that count: those that change the prediction most."""
 
@@ -138,6 +141,7 @@ class HealthyCell:
         cell: The cell file; its effects are part of what was healthy.
         library: Effects of that cell by id.
         recordings: How many there were.
+        friction_N: Own friction that a tenth of their samples exceeds.
     """
 
     cell: CellFile
@@ -145,6 +149,7 @@ class HealthyCell:
     recordings: int
     motions: _Motions
     weights: Mapping[int, _Weights]
+    friction_N: float = 0.0
 
     @staticmethod
     def of(recordings: Sequence[Samples], cell: CellFile, library: Mapping[str, Effect]) -> "HealthyCell":
@@ -190,7 +195,9 @@ class HealthyCell:
             learned = _learned(pieces, groups, noise / blocks[0] ** 0.5, zero, drift_per_s)
             if channel != Z or float(learned.unexplained.max()) < MOST_OF_STROKE * empty.motions.stroke_m:
                 weights[channel] = learned
-        return HealthyCell(cell, library, len(recordings), empty.motions, weights)
+        learned_cell = replace(empty, weights=weights)
+        rubbing_N = [np.abs(learned_cell.own_friction_N(motion)) for motion in motions] if FZ in weights else [np.zeros(1)]
+        return replace(learned_cell, friction_N=float(np.quantile(np.concatenate(rubbing_N), 0.9)))
 
     def plain(self, motion: MotionColumns) -> dict[str, Floats]:
         """What palpd predicts for a motion, by channel (n,)."""
@@ -273,13 +280,30 @@ class HealthyCell:
 
     def simulator(self) -> UserSimulator:
         """A simulator of the healthy cell that can be asked for any motion."""
-        return UserSimulator("the healthy cell", self.predict, any_motion=True, doubt=self.doubt, about=self._about())
+        rubs = (OwnParameter(FRICTION, 0.0, -self.friction_N, self.friction_N),) if self.friction_N > 0.0 else ()
+        return UserSimulator("the healthy cell", self.predict, any_motion=True, parameters=rubs, doubt=self.doubt, about=self._about())
 
-    def predict(self, motion: MotionColumns) -> dict[str, Floats]:
-        """What the healthy cell reports on a motion, by column (n,), with the force of its contact."""
+    def predict(self, motion: MotionColumns, friction: float = 0.0) -> dict[str, Floats]:
+        """What the healthy cell reports on a motion, by column (n,), with the force of its contact.
+
+        Args:
+            friction: How much more it rubs, in N, by the curve of its own friction.
+        """
+        if friction:
+            out, fz = self.predict(motion), CHANNELS[FZ]
+            return out | {fz: out[fz] + friction / self.friction_N * self.own_friction_N(motion)}
         plain, named = self.plain(motion), self._named_terms(motion, FZ)
         out = {CHANNELS[channel]: terms @ weights.mean for channel, weights, terms in self._weighed(motion, np.hstack([*named.values()]))}
         return {name: plain[name] + values for name, values in out.items()} | {CONTACT_COLUMN: self._contact_of(motion, named)}
+
+    def own_friction_N(self, motion: MotionColumns) -> Floats:
+        """What acts against a motion (n,), of fz: what was learned of directions, reversals and speeds, and the stated friction."""
+        named = self._named_terms(motion, FZ)
+        parts = np.split(self.weights[FZ].mean, np.cumsum([terms.shape[1] for terms in named.values()])[:-1])
+        learned_N = [terms @ part for (name, terms), part in zip(named.items(), parts, strict=True) if name.startswith(RUBS)]
+        smooth = {name: values for name, values in self.cell.effects.items() if name != "cable.friction"}
+        without = replace(self, cell=self.cell.with_effects(smooth))
+        return np.sum(learned_N, axis=0) + self.plain(motion)[CHANNELS[FZ]] - without.plain(motion)[CHANNELS[FZ]]
 
     def _weighed(self, motion: MotionColumns, forces: Floats) -> Iterator[tuple[int, _Weights, Floats]]:
         """Each learned channel of a motion with its weights and terms; `forces` (n, p) are those that all forces share."""
@@ -334,9 +358,10 @@ class HealthyCell:
 
     @property
     def compared_cell(self) -> CellFile:
-        """The cell file for a comparison: its effects are predicted, and a modulus that is not known is that of the healthy cell."""
-        cell = self.cell.without_effects()
-        return cell if cell.tolerances.modulus_known else cell.with_modulus_tolerance(Tolerances.model_fields["youngs_modulus"].default)
+        """The cell file for a comparison: its effects are predicted, and what it does not know is that of the healthy cell."""
+        cell, stated = self.cell.without_effects(), self.cell.tolerances
+        cell = cell.with_tolerances(mass_kg=min(stated.mass_kg, MASS_TOLERANCE * cell.probe.mass_kg))
+        return cell if stated.modulus_known else cell.with_tolerances(youngs_modulus=Tolerances.model_fields["youngs_modulus"].default)
 
 
 def neighbours_alike(values: Floats) -> float:

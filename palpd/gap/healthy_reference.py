@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
+from palpd.gap.beside_healthy import beside_healthy
 from palpd.gap.data.observations import observe
 from palpd.gap.healthy import HealthyCell
 from palpd.gap.infer.posterior import posterior, single_odds
@@ -63,7 +64,7 @@ class HealthyReference:
         Raises:
             RecordingError: The recordings cannot be judged.
         """
-        usual = UsualChanges.of(healthy, HealthyCell.of(healthy, cell, library))
+        usual = UsualChanges.of(healthy, HealthyCell.of(healthy, cell, beside_healthy(library)))
         with threadpool_limits(1):  # as in a diagnosis
             return HealthyReference(usual, _habits(usual))
 

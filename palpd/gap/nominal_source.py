@@ -118,7 +118,7 @@ def nominal_source(recordings: Sequence[PreparedRecording], cell: CellFile, libr
         any_motion=all(simulated.simulator.any_motion for _, simulated in given),
         channels=tuple(channel for channel in CHANNELS if all(channel in each for each in predicted)),
         healthy=all(simulated.doubt is not None for _, simulated in given),
-        unjudged=unjudged([simulated for _, simulated in given], library),
+        unjudged=unjudged([simulated for _, simulated in given], cell, library),
         notes=tuple(notes),
         onsets_s=tuple(simulated.simulator.onset_s for _, simulated in given),
     )

@@ -450,11 +450,12 @@ def _repeats(heights_m: Floats, reported_m: Floats, tip_m: Floats, cell: CellFil
     return apart_m(reported_m) < max(DRIVE_NOISES * noise_m, SAME_M) or apart_m(tip_m) < SAME_M
 
 
-def unjudged(given: Sequence[SimulatedNominal], library: Mapping[str, Effect]) -> dict[str, tuple[str, ...]]:
+def unjudged(given: Sequence[SimulatedNominal], cell: CellFile, library: Mapping[str, Effect]) -> dict[str, tuple[str, ...]]:
     """Effects that cannot be judged with the output of a user's simulator.
 
     Args:
         given: What the simulator predicts for each recording.
+        cell: Without tissue nothing is touched.
         library: The effects that may be present.
 
     Returns:
@@ -466,8 +467,10 @@ def unjudged(given: Sequence[SimulatedNominal], library: Mapping[str, Effect]) -
         out[f"{name} holds no motion but the recorded one"] = asking
     if any(one.command_m is not None and one.heights_m is None for one in given):
         out[f"{name} does not predict z_m"] = tuple(id_ for id_, effect in library.items() if effect.motion)
-    if not all(one.contact_known for one in given):
-        on_contact = tuple(id_ for id_, effect in library.items() if effect.site == "tissue" or _sideways(effect))
+    on_contact = tuple(id_ for id_, effect in library.items() if effect.site == "tissue" or _sideways(effect))
+    if cell.tissue is None:
+        out["nothing is touched"] = tuple(id_ for id_ in on_contact if id_ not in asking)
+    elif not all(one.contact_known for one in given):
         of_contact = f"{name} does not say which part of {NEEDED_COLUMN} is the contact's; add that as {CONTACT_COLUMN}"
         out[of_contact] = tuple(id_ for id_ in on_contact if id_ not in asking)
     return out

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 from scipy.special import ndtr, stdtrit
 
 from palpd.gap.data.noise import FZ, declared_rms
@@ -33,6 +32,8 @@ MOST_SQUARE = 9.0
 """Largest factor on the usual square of the residual, by which a recording may be more restless than the healthy ones."""
 LEAST_BESIDE_ZERO = 0.05
 """Share of a change's energy that a zero and a drift leave, below which healthy recordings, whose zeros are free, show nothing of it."""
+SPREAD_ROUNDS = 12
+"""Rounds of the estimate of what is usual: then it explains what was seen. Further rounds only choose among changes that look alike."""
 MOST_ALIKE = 0.9
 """Largest correlation of neighbouring means that is believed."""
 
@@ -125,7 +126,7 @@ class UsualChanges:
         for one in recordings[:: -(-len(recordings) // MOST_HEALTHY)]:
             others = [other for other in recordings if other is not one]
             compared.append(ComparedRecording.of(one, HealthyCell.of(others, healthy.cell, healthy.library) if others else healthy))
-        return UsualChanges._seen_in(tuple(compared), healthy)
+        return UsualChanges._seen_in(tuple(compared), healthy, len(compared))
 
     def alike(self) -> dict[tuple[str, str], float]:
         """How alike the changes of two effects are in these recordings, by their ids: the largest square of a cosine."""
@@ -136,14 +137,14 @@ class UsualChanges:
         return {(one, other): float(largest[k, j]) for k, one in enumerate(kinds) for j, other in enumerate(kinds)}
 
     def without(self, one: ComparedRecording) -> "UsualChanges":
-        """What the other recordings show, of what was learned from them."""
-        return UsualChanges._seen_in(tuple(each for each in self.compared if each is not one), one.others)
+        """What the other recordings show, of what was learned from them, and believed as far as that of all."""
+        return UsualChanges._seen_in(tuple(each for each in self.compared if each is not one), one.others, len(self.compared))
 
     @staticmethod
-    def _seen_in(compared: tuple[ComparedRecording, ...], healthy: HealthyCell) -> "UsualChanges":
+    def _seen_in(compared: tuple[ComparedRecording, ...], healthy: HealthyCell, recordings: int) -> "UsualChanges":
         lefts = [one.left for one in compared]
         # Of few recordings the spread may be larger than they show.
-        k, squares = max(len(lefts), 2), np.log(np.maximum([one.squares for one in compared], 1e-6))
+        k, squares = max(recordings, 2), np.log(np.maximum([one.squares for one in compared], 1e-6))
         factor = float(stdtrit(k - 1, ndtr(TAIL_SD))) / TAIL_SD * ((k + 1) / k) ** 0.5
         apart = np.minimum(TAIL_SD * factor * (squares.std(axis=0, ddof=1) if len(lefts) > 1 else np.zeros(2)), np.log(MOST_SQUARE))
         usual = squares.mean(axis=0)
@@ -199,7 +200,8 @@ class UsualChanges:
 def _spread(seen: Floats, noise: Floats, overlaps: Floats) -> Floats:
     """Standard deviations (p,) of changes, each as a share of its size, with which each is seen as often as in the healthy recordings.
 
-    Changes look alike: what one shows is not another one's too. So their variances are the smallest that explain all that is seen.
+    Changes look alike: what one shows is not another one's too, and together they explain what is seen. From equal variances on, each
+    grows with what it would explain and the others do not yet (Richardson 1972, Lucy 1974). So changes that look alike share.
 
     Args:
         seen: Mean square (p,) of the share of each change that a healthy recording seems to have.
@@ -207,7 +209,11 @@ def _spread(seen: Floats, noise: Floats, overlaps: Floats) -> Floats:
         overlaps: Square (p, p) of the share of a change that another one, as large as it typically is, seems to be.
     """
     scale = np.maximum(seen, 1e-300)
-    variances, _ = nnls(overlaps / scale[:, None], np.maximum(seen - noise, 0.0) / scale, maxiter=50 * len(seen))
+    beyond_noise, shares = np.maximum(seen - noise, 0.0) / scale, overlaps / scale[:, None]
+    total = np.maximum(shares.sum(axis=0), 1e-300)
+    variances = np.full(len(seen), beyond_noise.mean() / max(float(shares.sum(axis=1).mean()), 1e-300))
+    for _ in range(SPREAD_ROUNDS):
+        variances *= shares.T @ (beyond_noise / np.maximum(shares @ variances, 1e-12)) / total
     return np.asarray(np.sqrt(variances))
 
 

@@ -11,11 +11,12 @@ import palpd
 from palpd.cell.effects import EFFECTS
 from palpd.cli.application import one_file_each
 from palpd.errors import BadInput, RecordingError
-from palpd.gap.commands import diagnose_files, since_healthy
+from palpd.gap.commands import diagnose_files, healthy_reference
 from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.healthy import HealthyCell
 from palpd.gap.healthy_reference import HealthyReference
 from palpd.gap.plain import plain_answer
+from palpd.gap.usual import _spread
 from palpd.recording.samples import Samples, write_csv
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import quick
@@ -43,7 +44,8 @@ def reference(healthy: list[Samples]) -> HealthyReference:
 
 
 def changed(now: Samples, reference: HealthyReference) -> Diagnosis:
-    return diagnose([now], reference.learned.compared_cell, propose=False, simulators=[reference.simulator(now)])
+    learned = reference.learned
+    return diagnose([now], learned.compared_cell, learned.library, propose=False, simulators=[reference.simulator(now)])
 
 
 @pytest.mark.timeout(600)
@@ -65,6 +67,32 @@ def test_more_friction_beside_known_friction_is_named_with_what_it_is_more(refer
     assert [effect.id for effect in answer.effects] == ["cable.friction"], answer.sentence
     value, low, high = answer.effects[0].parameters["force_N"]
     assert low <= 0.2 <= high, (value, low, high)
+
+
+def test_friction_that_became_less_is_named(reference: HealthyReference) -> None:
+    """Friction of the list is positive; beside a cell that rubs already it may have either sign, also by the curve of its own friction."""
+
+    def rubbing_less(tip: Mapping[str, Floats]) -> dict[str, Floats]:
+        smooth_N = own_simulator(tip)["fz_N"]
+        return rig(tip) | {"fz_N": smooth_N + 0.5 * (rig(tip)["fz_N"] - smooth_N)}
+
+    answer = changed(record(rubbing_less, seed=27), reference)
+    assert [effect.id for effect in answer.effects] == ["cable.friction"], answer.sentence
+    value, low, high = answer.effects[0].parameters["force_N"]
+    assert low < value < high < 0.0, (value, low, high)
+    assert set(answer.effects[0].parameters) == {"force_N"}, "by which curve is no number of the effect"
+
+
+def test_a_mass_that_no_cell_file_knows_is_named_where_it_changed(healthy: list[Samples]) -> None:
+    """The healthy recordings showed it, so neither the stated mass nor its tolerance says how large a change can be."""
+    unknown = stated().with_tolerances(mass_kg=1.0)
+    unknown = unknown.model_copy(update={"probe": unknown.probe.model_copy(update={"mass_kg": 0.0})})
+
+    def heavier(tip: Mapping[str, Floats]) -> dict[str, Floats]:
+        return rig(tip) | {"fz_N": rig(tip)["fz_N"] - 0.15 * tip["az_m_per_s2"]}
+
+    answer = changed(record(heavier, seed=28), HealthyReference.of(healthy, unknown, EFFECTS))
+    assert "probe.mass" in {name for one in answer.effects for name in (one.id, *one.indistinguishable_from)}, answer.sentence
 
 
 def test_a_tissue_that_became_softer_is_named_by_its_own_contact_force(reference: HealthyReference) -> None:
@@ -132,7 +160,7 @@ def test_how_much_a_number_of_healthy_recordings_says_stands_in_the_answer(healt
 def test_healthy_recordings_that_say_nothing_are_refused(healthy: list[Samples]) -> None:
     def refusal(*recordings: Samples) -> str:
         with pytest.raises(RecordingError) as error:
-            since_healthy(recordings, stated(), EFFECTS, [healthy[2]])
+            healthy_reference(recordings, stated(), EFFECTS, [healthy[2]])
         return str(error.value)
 
     first = healthy[0]
@@ -173,3 +201,11 @@ def test_a_pattern_of_the_shell_gives_each_option_all_of_its_files() -> None:
     for empty in (["diagnose", "a.csv", "--healthy"], ["diagnose", "--healthy", "--now", "a.csv"]):
         with pytest.raises(BadInput, match="--healthy has no file behind it"):
             one_file_each(empty)
+
+
+def test_changes_that_look_alike_share_what_is_usual() -> None:
+    alike, seen = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.array([4.0, 4.0, 1.0])
+    spread = _spread(seen, np.array([0.0, 0.0, 2.0]), alike)
+    assert spread[0] == pytest.approx(spread[1], rel=1e-9)
+    assert spread[0] ** 2 + spread[1] ** 2 == pytest.approx(4.0, rel=1e-6), "together they explain what was seen"
+    assert spread[2] == 0.0, "noise explains it"

@@ -105,7 +105,7 @@ def check_recordings(recordings: Sequence[Samples], cell: CellFile, *, sized: bo
     refuse_repeated(recordings)
     notes = [f"{doubt}; correct the cell file." for doubt in doubts_of_cell(cell)]
     if not sized:
-        cell = cell.with_modulus_tolerance(1.0)
+        cell = cell.with_tolerances(youngs_modulus=1.0)
     for samples, label in zip(recordings, _labels(recordings), strict=True):
         _refuse_hole(samples, label)
         for check in (_motion_notes, _depth_notes, _force_notes):

@@ -11,6 +11,9 @@ from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.residual import ResidualStructure, segments_of, test_residual
 from palpd.gap.model.problem import Problem
 
+COARSE = 0.05
+"""Share of a gap beside a learned nominal that the listed law of a real effect may leave, so that it says nothing for another law."""
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -84,6 +87,7 @@ def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested
         energy = max(gap.energy, nominal.misfit - fits[names].misfit + residual.energy)
         known, unknown = known_and_unknown(fits[names], residual, energy, most - worth[names])
         logs[names] = worth[names] + known, worth[names] + unknown - price_nats(problem, "")
+    logs = _coarse(problem, logs)
     total = float(np.logaddexp.reduce([w for both in logs.values() for w in both]))
     return attribution_of(
         [
@@ -96,6 +100,21 @@ def posterior(problem: Problem, fits: Mapping[tuple[str, ...], Fit], most_tested
             for names, (known, unknown) in logs.items()
         ]
     )
+
+
+def _coarse(problem: Problem, logs: Mapping[tuple[str, ...], tuple[float, float]]) -> dict[tuple[str, ...], tuple[float, float]]:
+    """Logs of the hypotheses, where the nominal was learned from a real cell.
+
+    No real effect follows its listed law, and the larger a gap, the more of it such a law leaves: a share of it decides nothing. So beside
+    a gap of G nats the log odds among sets with effects count 1 / (1 + ε G) (a coarsened posterior: Miller and Dunson 2019). Those of the
+    likeliest set against no effect stay.
+    """
+    sums = {names: float(np.logaddexp(*both)) for names, both in logs.items()}
+    best = max((weight for names, weight in sums.items() if names), default=sums[()])
+    learned = any(one.simulated is not None and one.simulated.doubt is not None for one in problem.recordings)
+    coarseness = 1.0 + COARSE * max(best - sums[()], 0.0) if learned else 1.0
+    more = {names: (best - weight) * (1.0 - 1.0 / coarseness) if names else 0.0 for names, weight in sums.items()}
+    return {names: (known + more[names], unknown + more[names]) for names, (known, unknown) in logs.items()}
 
 
 def attribution_of(hypotheses: list[Hypothesis]) -> Attribution:
