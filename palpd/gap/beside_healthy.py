@@ -23,7 +23,7 @@ MOST_OF_FORCE = 3.0
 
 
 def beside_healthy(library: Mapping[str, Effect]) -> dict[str, Effect]:
-    """The same effects, of which those that a healthy cell has already may have either sign."""
+    """The same effects; those that a healthy cell has already may have either sign."""
     changed = {"cable.friction": _friction, "cable.viscous": _drag, "probe.mass": _mass}
     return {name: changed[name](effect) if name in changed else effect for name, effect in library.items()}
 

@@ -181,7 +181,6 @@ def healthy_reference(
     Args:
         cell: The cell file of the healthy cell; None: estimated from these recordings.
         known: Effects that the cell file may have.
-        now: The recordings that are compared.
 
     Raises:
         RecordingError: The recordings cannot be judged, or one of them is compared with itself, or with another site.

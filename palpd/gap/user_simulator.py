@@ -455,7 +455,7 @@ def unjudged(given: Sequence[SimulatedNominal], cell: CellFile, library: Mapping
 
     Args:
         given: What the simulator predicts for each recording.
-        cell: Without tissue nothing is touched.
+        cell: Beside a healthy one without tissue nothing is touched.
         library: The effects that may be present.
 
     Returns:
@@ -468,7 +468,7 @@ def unjudged(given: Sequence[SimulatedNominal], cell: CellFile, library: Mapping
     if any(one.command_m is not None and one.heights_m is None for one in given):
         out[f"{name} does not predict z_m"] = tuple(id_ for id_, effect in library.items() if effect.motion)
     on_contact = tuple(id_ for id_, effect in library.items() if effect.site == "tissue" or _sideways(effect))
-    if cell.tissue is None:
+    if cell.tissue is None and all(one.doubt is not None for one in given):
         out["nothing is touched"] = tuple(id_ for id_ in on_contact if id_ not in asking)
     elif not all(one.contact_known for one in given):
         of_contact = f"{name} does not say which part of {NEEDED_COLUMN} is the contact's; add that as {CONTACT_COLUMN}"

@@ -20,7 +20,7 @@ from palpd.gap.usual import _spread
 from palpd.recording.samples import Samples, write_csv
 from palpd.tick import Floats
 from tests.gap.test_diagnosis import quick
-from tests.gap.test_user_simulator import foam_N, own_simulator, record, stated
+from tests.gap.test_user_simulator import axis, foam_N, moved_axis, own_simulator, record, stated
 
 
 def rig(tip: Mapping[str, Floats]) -> dict[str, Floats]:
@@ -95,6 +95,12 @@ def test_a_mass_that_no_cell_file_knows_is_named_where_it_changed(healthy: list[
     assert "probe.mass" in {name for one in answer.effects for name in (one.id, *one.indistinguishable_from)}, answer.sentence
 
 
+def test_a_rig_without_tissue_is_not_judged_for_a_contact() -> None:
+    recordings = [moved_axis(axis, seed=seed) for seed in (1, 2, 3)]
+    answer = changed(recordings[2][0], HealthyReference.of([samples for samples, _ in recordings[:2]], recordings[0][1], EFFECTS))
+    assert {"tissue.modulus", "contact.lateral", "probe.tilt"} <= set(answer.to_json()["simulated"]["not_judged"])
+
+
 def test_a_tissue_that_became_softer_is_named_by_its_own_contact_force(reference: HealthyReference) -> None:
     def softer(tip: Mapping[str, Floats]) -> dict[str, Floats]:
         return rig(tip) | {"fz_N": rig(tip)["fz_N"] - 0.25 * foam_N(np.maximum(-tip["z_m"], 0.0))}
@@ -120,7 +126,8 @@ def test_a_rig_that_is_another_one_every_day_is_healthy_and_a_large_change_is_na
     assert days.habits[""] > 0.0, "a wave of another length is in no list"
     quiet = changed(day(41), days)
     assert quiet.verdict == "none", quiet.sentence
-    assert [note for note in quiet.notes if "looks like something unknown" in note]
+    (habit,) = [note for note in quiet.notes if note.startswith("A healthy recording looks like")]
+    assert "something unknown" in habit, habit
     assert [effect.id for effect in changed(day(42, more_N=1.5), days).effects] == ["cable.friction"]
 
 

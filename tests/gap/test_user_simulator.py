@@ -393,7 +393,6 @@ def test_a_linear_axis_without_tissue_is_healthy_by_its_own_simulator_alone() ->
     assert diagnose([samples], cell, propose=False).verdict != "none"
     answer = diagnose([samples], cell, propose=False, simulators=[UserSimulator.of_function(axis, "axis")])
     assert answer.verdict == "none", answer.sentence
-    assert {"tissue.modulus", "contact.lateral", "probe.tilt"} <= set(answer.to_json()["simulated"]["not_judged"]), "nothing is touched"
 
 
 def test_friction_in_a_linear_axis_without_tissue_is_found() -> None:
