@@ -81,6 +81,7 @@ def test_friction_that_became_less_is_named(reference: HealthyReference) -> None
     value, low, high = answer.effects[0].parameters["force_N"]
     assert low < value < high < 0.0, (value, low, high)
     assert set(answer.effects[0].parameters) == {"force_N"}, "by which curve is no number of the effect"
+    assert "own_curve" not in str(answer.to_json())
 
 
 def test_a_mass_that_no_cell_file_knows_is_named_where_it_changed(healthy: list[Samples]) -> None:

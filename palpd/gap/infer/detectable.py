@@ -69,7 +69,7 @@ def detectable_sizes(problem: Problem, around: Linearisation) -> tuple[Detectabl
         switch = next((p for p in effect.parameters if _acts(p, start, problem.scale)), None)
         if effect.scatter is None and switch is not None:
             factor, values = _smallest(problem, around, effect, start)
-            others = {name: value for name, value in values.items() if name != switch.name}
+            others = {p.name: values[p.name] for p in effect.named_parameters if p.name in values and p is not switch}
             specification = _specification(effect, switch, start[switch.name], problem)
             smallest, needs = (None, _needs(effect, problem)) if factor is None else (values[switch.name], None)
             out.append(DetectableSize(effect.id, switch, smallest, factor, specification, others, needs))
