@@ -27,7 +27,7 @@ from palpd.cell.effects import EFFECTS, Effect
 from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.documents import nearest
 from palpd.errors import BadInput, RecordingError
-from palpd.gap.commands import check_motion, healthy_reference, read_motion, read_recording, simulate_columns
+from palpd.gap.commands import check_motion, read_motion, read_recording, simulate_columns, since_healthy
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.diagnosis import diagnose as diagnose_samples
 from palpd.gap.user_simulator import UserSimulator, asked, own_effects
@@ -556,9 +556,8 @@ def diagnose(
         raise BadInput("healthy= and simulated= are two nominals; leave one out")
     if healthy is not None:
         before = [_samples(each) for each in _several(healthy)]
-        reference = healthy_reference(before, None if cell is None else _cell(cell), effects, samples)
-        learned, simulators = reference.learned, [reference.simulator(one) for one in samples]
-        return GapDiagnosis(diagnose_samples(samples, learned.compared_cell, learned.library, propose=propose, simulators=simulators))
+        nominal, effects, simulators = since_healthy(before, None if cell is None else _cell(cell), effects, samples)
+        return GapDiagnosis(diagnose_samples(samples, nominal, effects, propose=propose, simulators=simulators))
     if cell is None:
         raise BadInput("no cell is given; give cell=, or healthy= recordings to compare with")
     if simulated is not None:

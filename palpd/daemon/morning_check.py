@@ -141,12 +141,11 @@ def compared(healthy: list[Samples], today: Samples) -> dict[str, Any]:
     Raises:
         RecordingError: The recordings cannot be judged.
     """
-    from palpd.gap.commands import healthy_reference, library
+    from palpd.gap.commands import library, since_healthy
     from palpd.gap.diagnosis import diagnose
 
-    reference = healthy_reference(healthy, None, library(None), [today])
-    learned, simulator = reference.learned, reference.simulator(today)
-    answer = diagnose([today], learned.compared_cell, learned.library, propose=False, simulators=[simulator]).to_json()
+    nominal, known, simulators = since_healthy(healthy, None, library(None), [today])
+    answer = diagnose([today], nominal, known, propose=False, simulators=simulators).to_json()
     return {name: answer[name] for name in ("verdict", "effects", "plain") if name in answer}
 
 

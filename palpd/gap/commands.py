@@ -160,8 +160,7 @@ def diagnose_files(
         samples = [read_recording(path, site) for path in recordings]
         before = [read_recording(path, site, learns=True) for path in healthy]
         stated = None if cell is None else load_cell(cell, known)
-        reference = healthy_reference(before, stated, known, samples)
-        nominal, known, simulators = reference.learned.compared_cell, reference.learned.library, [*map(reference.simulator, samples)]
+        nominal, known, simulators = since_healthy(before, stated, known, samples)
     else:
         samples, nominal = _read(recordings, cell, known, site)
         simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
@@ -173,14 +172,15 @@ def diagnose_files(
     return diagnosis
 
 
-def healthy_reference(
+def since_healthy(
     healthy: Sequence[Samples], cell: CellFile | None, known: Mapping[str, Effect], now: Sequence[Samples]
-) -> HealthyReference:
-    """What recordings are compared with: the cell as it was while healthy, and the effects that may be present beside it.
+) -> tuple[CellFile, Mapping[str, Effect], list[UserSimulator]]:
+    """The nominal of a comparison with a healthy cell: its cell file, the effects beside it, and one simulator for each recording.
 
     Args:
         cell: The cell file of the healthy cell; None: estimated from these recordings.
         known: Effects that the cell file may have.
+        now: The recordings that are compared.
 
     Raises:
         RecordingError: The recordings cannot be judged, or one of them is compared with itself, or with another site.
@@ -188,7 +188,8 @@ def healthy_reference(
     cell = cell_from(first_cell(healthy).content, "the cell of the healthy recordings") if cell is None else cell
     cell = stated_cell(cell.at_site(common_site(healthy)))
     check_recordings([*healthy, *now], cell, sized=False)
-    return HealthyReference.of(healthy, cell, known)
+    reference = HealthyReference.of(healthy, cell, known)
+    return reference.learned.compared_cell, reference.learned.library, [reference.simulator(recording) for recording in now]
 
 
 def limits_of_files(

@@ -196,8 +196,10 @@ class HealthyCell:
             if channel != Z or float(learned.unexplained.max()) < MOST_OF_STROKE * empty.motions.stroke_m:
                 weights[channel] = learned
         learned_cell = replace(empty, weights=weights)
-        rubbing_N = [np.abs(learned_cell.own_friction_N(motion)) for motion in motions] if FZ in weights else [np.zeros(1)]
-        return replace(learned_cell, friction_N=float(np.quantile(np.concatenate(rubbing_N), 0.9)))
+        if FZ not in weights:
+            return learned_cell
+        rubbing_N = [learned_cell.own_friction_N(motion) for motion in motions]
+        return replace(learned_cell, friction_N=float(np.quantile(np.abs(np.concatenate(rubbing_N)), 0.9)))
 
     def plain(self, motion: MotionColumns) -> dict[str, Floats]:
         """What palpd predicts for a motion, by channel (n,)."""
@@ -289,21 +291,25 @@ class HealthyCell:
         Args:
             friction: How much more it rubs, in N, by the curve of its own friction.
         """
-        if friction:
-            out, fz = self.predict(motion), CHANNELS[FZ]
-            return out | {fz: out[fz] + friction / self.friction_N * self.own_friction_N(motion)}
         plain, named = self.plain(motion), self._named_terms(motion, FZ)
         out = {CHANNELS[channel]: terms @ weights.mean for channel, weights, terms in self._weighed(motion, np.hstack([*named.values()]))}
-        return {name: plain[name] + values for name, values in out.items()} | {CONTACT_COLUMN: self._contact_of(motion, named)}
+        out = {name: plain[name] + values for name, values in out.items()} | {CONTACT_COLUMN: self._contact_of(motion, named)}
+        if friction:
+            out[CHANNELS[FZ]] += friction / self.friction_N * self._friction_N(motion, named)
+        return out
 
     def own_friction_N(self, motion: MotionColumns) -> Floats:
         """What acts against a motion (n,), of fz: what was learned of directions, reversals and speeds, and the stated friction."""
-        named = self._named_terms(motion, FZ)
-        parts = np.split(self.weights[FZ].mean, np.cumsum([terms.shape[1] for terms in named.values()])[:-1])
-        learned_N = [terms @ part for (name, terms), part in zip(named.items(), parts, strict=True) if name.startswith(RUBS)]
-        smooth = {name: values for name, values in self.cell.effects.items() if name != "cable.friction"}
-        without = replace(self, cell=self.cell.with_effects(smooth))
-        return np.sum(learned_N, axis=0) + self.plain(motion)[CHANNELS[FZ]] - without.plain(motion)[CHANNELS[FZ]]
+        return self._friction_N(motion, self._named_terms(motion, FZ))
+
+    def _friction_N(self, motion: MotionColumns, named: Mapping[str, Floats]) -> Floats:
+        mean = self._mean_of(named)
+        learned_N = np.sum([terms @ mean[name] for name, terms in named.items() if name.startswith(RUBS)], axis=0)
+        others = {name: values for name, values in self.cell.effects.items() if name != "cable.friction"}
+        if others == self.cell.effects:
+            return np.asarray(learned_N)
+        without = replace(self, cell=self.cell.with_effects(others))
+        return learned_N + self.plain(motion)[CHANNELS[FZ]] - without.plain(motion)[CHANNELS[FZ]]
 
     def _weighed(self, motion: MotionColumns, forces: Floats) -> Iterator[tuple[int, _Weights, Floats]]:
         """Each learned channel of a motion with its weights and terms; `forces` (n, p) are those that all forces share."""
@@ -313,6 +319,11 @@ class HealthyCell:
             elif "z_cmd_m" in motion:
                 yield channel, weights, self.terms(motion, Z)
 
+    def _mean_of(self, named: Mapping[str, Floats]) -> dict[str, Floats]:
+        """The most probable weights of the terms of fz by name."""
+        parts = np.split(self.weights[FZ].mean, np.cumsum([terms.shape[1] for terms in named.values()])[:-1])
+        return dict(zip(named, parts, strict=True))
+
     def _contact_of(self, motion: MotionColumns, named: Mapping[str, Floats]) -> Floats:
         """Palpd's contact, and what curves over the height and forces that remember the load add while the tip is below the surface.
 
@@ -321,10 +332,10 @@ class HealthyCell:
         """
         if not np.isfinite(self.surface_m):
             return np.zeros_like(motion["z_m"])
-        parts = np.split(self.weights[FZ].mean, np.cumsum([terms.shape[1] for terms in named.values()])[:-1])
-        by_name = {name: terms @ part for (name, terms), part in zip(named.items(), parts, strict=True)}
-        at_surface_N = float((_hats(np.array([self.surface_m]), self.motions.heights_m) @ parts[0])[0])
-        more_N = by_name["height"] - at_surface_N + by_name["memory"] + by_name["presses"]
+        mean = self._mean_of(named)
+        at_surface_N = float((_hats(np.array([self.surface_m]), self.motions.heights_m) @ mean["height"])[0])
+        height_N, memory_N, presses_N = (named[name] @ mean[name] for name in ("height", "memory", "presses"))
+        more_N = height_N - at_surface_N + memory_N + presses_N
         return np.where(motion["z_m"] < self.surface_m, self._contact_N(motion) + more_N, 0.0)
 
     def doubt(self, motion: MotionColumns) -> SimulatorDoubt:

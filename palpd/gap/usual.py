@@ -130,7 +130,7 @@ class UsualChanges:
 
     def alike(self) -> dict[tuple[str, str], float]:
         """How alike the changes of two effects are in these recordings, by their ids: the largest square of a cosine."""
-        squares = np.mean([one.overlap * one.size[:, None] / one.size for one in self.compared], axis=0)
+        squares = np.minimum(np.mean([one.overlap * one.size[:, None] / one.size for one in self.compared], axis=0), 1.0)
         kinds = self.compared[0].kinds
         starts = np.cumsum([0, *kinds.values()])[:-1]
         largest = np.maximum.reduceat(np.maximum.reduceat(squares, starts, axis=0), starts, axis=1)

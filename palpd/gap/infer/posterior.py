@@ -10,6 +10,7 @@ from palpd.gap.assumptions import ASSUMED
 from palpd.gap.infer.evidence import Fit
 from palpd.gap.infer.residual import ResidualStructure, segments_of, test_residual
 from palpd.gap.model.problem import Problem
+from palpd.gap.user_simulator import SimulatorDoubt
 
 COARSE = 0.05
 """Share of a gap beside a learned nominal that the listed law of a real effect may leave, so that it says nothing for another law."""
@@ -111,8 +112,7 @@ def _coarse(problem: Problem, logs: Mapping[tuple[str, ...], tuple[float, float]
     """
     sums = {names: float(np.logaddexp(*both)) for names, both in logs.items()}
     best = max((weight for names, weight in sums.items() if names), default=sums[()])
-    learned = any(one.simulated is not None and one.simulated.doubt is not None for one in problem.recordings)
-    coarseness = 1.0 + COARSE * max(best - sums[()], 0.0) if learned else 1.0
+    coarseness = 1.0 + COARSE * max(best - sums[()], 0.0) if _doubts(problem) else 1.0
     more = {names: (best - weight) * (1.0 - 1.0 / coarseness) if names else 0.0 for names, weight in sums.items()}
     return {names: (known + more[names], unknown + more[names]) for names, (known, unknown) in logs.items()}
 
@@ -138,8 +138,12 @@ def log_prior(problem: Problem, names: Sequence[str]) -> float:
 
 def price_nats(problem: Problem, name: str) -> float:
     """What an effect costs beside a simulator that was learned; of something unknown with an empty name."""
-    doubts = [one.simulated.doubt for one in problem.recordings if one.simulated is not None and one.simulated.doubt is not None]
-    return max((problem.price_share * doubt.price_nats.get(name, 0.0) for doubt in doubts), default=0.0)
+    return max((problem.price_share * doubt.price_nats.get(name, 0.0) for doubt in _doubts(problem)), default=0.0)
+
+
+def _doubts(problem: Problem) -> list[SimulatorDoubt]:
+    """How the nominal of each recording may be wrong, where it was learned."""
+    return [one.simulated.doubt for one in problem.recordings if one.simulated is not None and one.simulated.doubt is not None]
 
 
 def single_odds(problem: Problem, fits: Mapping[tuple[str, ...], Fit]) -> dict[str, float]:
