@@ -70,7 +70,7 @@ def answers_to(case: EffectOnCell, seed: int, kept: Path) -> dict[str, Any]:
     def recorded(planted: Sequence[Planted]) -> Any:
         return measured(r, cell, drawn.run(planted), motion, t_s, planted, cell.rate_Hz)
 
-    stated = next(one for one in limits([recorded([])], file_of_cell) if one.effect == case.effect)
+    stated = next(one for one in limits([recorded([])], file_of_cell).sizes if one.effect == case.effect)
     out: dict[str, Any] = {"effect": case.effect, "number": case.number} | {"smallest": stated.smallest, "found": {}, "named": {}}
     law = next((law for law in LIBRARY_LAWS if law.effect == case.effect), None)
     if stated.smallest is not None and law is not None and stated.of_typical is not None:

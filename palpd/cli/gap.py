@@ -95,7 +95,7 @@ def diagnose(
     if now and not healthy:
         raise BadInput("--now is given without --healthy; name the healthy recordings too, or leave --now out")
     if healthy:
-        _refuse_with_healthy({"--cell-out": cell_out, "--simulated": simulated or None, "--limits": limits or None})
+        _refuse_with_healthy({"--cell-out": cell_out, "--simulated": simulated or None})
     if len(recordings) == 1 and recordings[0].is_dir():
         beside = {"--cell": cell, "--site": site, "--cell-out": cell_out, "--report": report, "--simulated": simulated or None}
         _refuse_for_a_folder(recordings[0], beside | {"--limits": limits or None, "--healthy": healthy or None})
@@ -104,12 +104,20 @@ def diagnose(
     if jobs is not None or scheduler is not None:
         raise BadInput(f"{'--jobs' if jobs is not None else '--scheduler'} is for a folder of recordings; give the folder, or leave it out")
     if limits:
-        _refuse_with_limits({"--cell-out": cell_out, "--report": report, "--json": json_file, "--simulated": simulated or None})
+        _refuse_with_limits({"--cell-out": cell_out, "--report": report, "--json": json_file})
     with shown_steps("diagnosing", progress) as show:
         try:
             if limits:
-                sizes = limits_of_files(recordings, cell, effects=effects, adopted=adopted_folder(adopted), site=site)
-                terminal().print(limits_table(sizes))
+                shown = limits_of_files(
+                    recordings,
+                    cell,
+                    effects=effects,
+                    adopted=adopted_folder(adopted),
+                    site=site,
+                    simulated=simulated or (),
+                    healthy=healthy or (),
+                )
+                terminal().print(limits_table(shown.sizes), shown.not_judged, sep="\n")
                 return
             diagnosis = diagnose_files(
                 recordings,

@@ -1,6 +1,7 @@
 """What the command line does with recordings of cells: diagnose one or several jointly, simulate, estimate tolerances."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypedDict
 
@@ -16,10 +17,9 @@ from palpd.errors import BadInput, RecordingError
 from palpd.files import write_json
 from palpd.gap.data.plausibility import check_recordings
 from palpd.gap.data.prepare import stated_cell
-from palpd.gap.diagnosis import Diagnosis, diagnose, limits
+from palpd.gap.diagnosis import Diagnosis, ShownSizes, diagnose, limits
 from palpd.gap.first_cell import first_cell
 from palpd.gap.healthy_reference import HealthyReference
-from palpd.gap.infer.detectable import DetectableSize
 from palpd.gap.plain import plain_answer
 from palpd.gap.tolerances import estimate_tolerances
 from palpd.gap.user_simulator import UserSimulator, simulate_with
@@ -148,23 +148,18 @@ def diagnose_files(
         BadInput: There are not as many outputs as recordings.
         RecordingError: A recording cannot be judged, or an output does not fit it.
     """
-    if simulated and len(simulated) != len(recordings):
-        outputs, judged = (f"{len(paths)} ({', '.join(path.name for path in paths)})" for paths in (simulated, recordings))
-        raise BadInput(
-            f"files of --simulated: {outputs}; recordings: {judged}; expected one file for each recording, in their order; "
-            "write --simulated before every file"
-        )
-    known = library(effects, without, adopted)
     show("reading the recording")
-    if healthy:
-        samples = [read_recording(path, site) for path in recordings]
-        before = [read_recording(path, site, learns=True) for path in healthy]
-        stated = None if cell is None else load_cell(cell, known)
-        nominal, known, simulators = since_healthy(before, stated, known, samples)
-    else:
-        samples, nominal = _read(recordings, cell, known, site)
-        simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
-    diagnosis = diagnose(samples, nominal, known, propose=propose, calibrated=calibrated, simulators=simulators, adopted=adopted, show=show)
+    asked = _asked(recordings, cell, library(effects, without, adopted), site, simulated, healthy)
+    diagnosis = diagnose(
+        asked.recordings,
+        asked.cell,
+        asked.library,
+        propose=propose,
+        calibrated=calibrated,
+        simulators=asked.simulators,
+        adopted=adopted,
+        show=show,
+    )
     if json_out is not None:
         write_answer(json_out, diagnosis)
     if cell_out is not None:
@@ -199,7 +194,9 @@ def limits_of_files(
     effects: Path | None = None,
     adopted: Path | None = None,
     site: str | None = None,
-) -> tuple[DetectableSize, ...]:
+    simulated: Sequence[Path] = (),
+    healthy: Sequence[Path] = (),
+) -> ShownSizes:
     """The smallest size of each effect that recordings of one cell would show, without a diagnosis.
 
     Args:
@@ -207,20 +204,54 @@ def limits_of_files(
         effects: A file with user effects (.py) or learned effects (.yaml); None: no such file.
         adopted: The folder of a user's adopted effects; None: without these.
         site: Site of recordings of the daemon; None where they hold a single site.
+        simulated: As in `diagnose_files`.
+        healthy: As in `diagnose_files`; the sizes are then those of a change.
 
     Raises:
-        RecordingError: A recording cannot be judged.
+        BadInput: There are not as many outputs as recordings.
+        RecordingError: A recording cannot be judged, or an output does not fit it.
     """
-    known = library(effects, adopted=adopted)
-    samples, nominal = _read(recordings, cell, known, site)
-    return limits(samples, nominal, known)
+    asked = _asked(recordings, cell, library(effects, adopted=adopted), site, simulated, healthy)
+    return limits(asked.recordings, asked.cell, asked.library, simulators=asked.simulators)
 
 
-def _read(recordings: Sequence[Path], cell: Path | None, known: Mapping[str, Effect], site: str | None) -> tuple[list[Samples], CellFile]:
-    """Recordings, and the cell to diagnose them against."""
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked: recordings, the nominal that they are compared with, and the effects that may be present.
+
+    `simulators` holds one for each recording where the nominal is not palpd's own simulation, else none.
+    """
+
+    recordings: Sequence[Samples]
+    cell: CellFile
+    library: Mapping[str, Effect]
+    simulators: Sequence[UserSimulator]
+
+
+def _asked(
+    recordings: Sequence[Path],
+    cell: Path | None,
+    known: Mapping[str, Effect],
+    site: str | None,
+    simulated: Sequence[Path],
+    healthy: Sequence[Path],
+) -> _Asked:
+    """Read what `diagnose_files` was given."""
+    if simulated and len(simulated) != len(recordings):
+        outputs, judged = (f"{len(paths)} ({', '.join(path.name for path in paths)})" for paths in (simulated, recordings))
+        raise BadInput(
+            f"files of --simulated: {outputs}; recordings: {judged}; expected one file for each recording, in their order; "
+            "write --simulated before every file"
+        )
+    if healthy:
+        samples = [read_recording(path, site) for path in recordings]
+        before = [read_recording(path, site, learns=True) for path in healthy]
+        return _Asked(samples, *since_healthy(before, None if cell is None else load_cell(cell, known), known, samples))
     nominal = nominal_cell(cell, recordings, known)
     samples = [read_recording(path, site) for path in recordings]
-    return samples, nominal if cell is not None else nominal.assumed_at_site(common_site(samples))
+    nominal = nominal if cell is not None else nominal.assumed_at_site(common_site(samples))
+    simulators = [UserSimulator.of_file(path, one.t_s) for path, one in zip(simulated, samples, strict=False)]
+    return _Asked(samples, nominal, known, simulators)
 
 
 def write_answer(path: Path, diagnosis: Diagnosis) -> None:

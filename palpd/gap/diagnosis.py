@@ -15,7 +15,7 @@ from palpd.cell.cell_file import CellFile, OpenHypothesis
 from palpd.cell.effects import EFFECTS, Effect
 from palpd.gap.advise.next_experiment import ExperimentProposal, advise
 from palpd.gap.calibration import ProbabilityMap, stored_map
-from palpd.gap.data.observations import observe
+from palpd.gap.data.observations import Observations, observe
 from palpd.gap.decide import DiagnosisVerdict, NamedEffect, decide, listed_answer
 from palpd.gap.enriched import enriched_cell
 from palpd.gap.infer.compared_modulus import ComparedModulus, compared_modulus
@@ -78,22 +78,59 @@ def diagnose(
 
 
 def limits(
-    recordings: Sequence[Samples], cell: CellFile, effects: Mapping[str, Effect] = EFFECTS, *, max_bins: int = MAX_BINS
-) -> tuple[DetectableSize, ...]:
+    recordings: Sequence[Samples],
+    cell: CellFile,
+    effects: Mapping[str, Effect] = EFFECTS,
+    *,
+    max_bins: int = MAX_BINS,
+    simulators: Sequence[UserSimulator] = (),
+) -> "ShownSizes":
     """The smallest size of each effect that recordings of one cell would show, without a diagnosis.
 
     Args:
         cell: The cell as the simulator knows it.
         effects: The effects that may be present.
         max_bins: Largest number of bins of all recordings, approximately.
+        simulators: As in `diagnose`.
 
     Raises:
         RecordingError: The recordings cannot be judged.
     """
     with threadpool_limits(1):
-        library = {name: effect for name, effect in effects.items() if name not in {law.id for law in cell.learned}}
-        nominal = settle(problem_of(observe(recordings, cell, library, (), max_bins), library))
-        return detectable_sizes(nominal.problem, nominal.fit.linearisation)
+        posed = _posed(recordings, cell, effects, max_bins, simulators)
+        nominal = settle(problem_of(posed.observations, posed.library))
+        sizes = detectable_sizes(nominal.problem, nominal.fit.linearisation)
+        return ShownSizes(sizes, "" if posed.source is None else posed.source.not_judged_sentences.strip())
+
+
+@dataclass(frozen=True)
+class ShownSizes:
+    """What recordings would show of each effect; `not_judged` says in words which effects the nominal does not let be judged."""
+
+    sizes: tuple[DetectableSize, ...]
+    not_judged: str
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """Recordings ready to be judged, the nominal of a user, and the effects that can be judged beside both."""
+
+    observations: Observations
+    source: NominalSource | None
+    library: Mapping[str, Effect]
+
+
+def _posed(
+    recordings: Sequence[Samples], cell: CellFile, library: Mapping[str, Effect], max_bins: int, simulators: Sequence[UserSimulator]
+) -> _Posed:
+    """Clean the readings, cut them into bins, estimate noise and tip motion."""
+    # A law that the cell file holds is no gap, also where the library has one of that name.
+    library = {name: effect for name, effect in library.items() if name not in {law.id for law in cell.learned}}
+    observations = observe(recordings, cell, library, simulators, max_bins)
+    source = nominal_source(observations.recordings, observations.cell, library)
+    if source is not None:
+        library = {name: effect for name, effect in library.items() if name not in source.not_judged}
+    return _Posed(observations, source, library)
 
 
 def _stages(
@@ -107,13 +144,9 @@ def _stages(
     adopted: Path | None,
     show: Callable[[str], None],
 ) -> "Diagnosis":
-    # A law that the cell file holds is no gap, also where the library has one of that name.
-    library = {name: effect for name, effect in library.items() if name not in {law.id for law in cell.learned}}
-    # 1. Prepare: clean the readings, cut them into bins, estimate noise and tip motion.
     show("1 of 6: preparing the recording")
-    observations = observe(recordings, cell, library, simulators, max_bins)
-    source = nominal_source(observations.recordings, observations.cell, library)
-    library = library if source is None else {name: effect for name, effect in library.items() if name not in source.not_judged}
+    posed = _posed(recordings, cell, library, max_bins, simulators)
+    observations, source, library = posed.observations, posed.source, posed.library
     decisive, notes = list(observations.decisive), [*observations.notes, *(source.sentences if source is not None else [])]
 
     inference = infer(problem_of(observations, library), show)

@@ -1,5 +1,6 @@
 """The smallest size of an effect that a recording would have shown: what is stated is what a diagnosis then finds."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from palpd.cell.cell_file import CellFile, nominal, save_cell
 from palpd.cell.effects import EFFECTS, Effect, Parameter
 from palpd.cli import app
 from palpd.errors import BadInput
+from palpd.gap.commands import diagnose_files, limits_of_files
 from palpd.gap.diagnosis import limits
 from palpd.gap.infer.detectable import DetectableSize, detectable_sizes
 from palpd.gap.infer.settle import settle
@@ -21,11 +23,11 @@ from palpd.gap.model.problem import make_problem
 from palpd.gap.user_simulator import MotionColumns, SimulatorDoubt
 from palpd.recording.samples import Samples, write_csv
 from tests.gap.test_diagnosis import quick, recording
-from tests.gap.test_user_simulator import palpds_own
+from tests.gap.test_user_simulator import own_simulator, palpds_own, record, smooth, stated
 
 
 def shown(samples: Samples, cell: CellFile) -> dict[str, DetectableSize]:
-    return {one.effect: one for one in limits([samples], cell)}
+    return {one.effect: one for one in limits([samples], cell).sizes}
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +94,7 @@ def test_the_law_of_a_user_that_overflows_or_does_nothing_has_a_limit_or_none() 
         "sensor.idle": Effect("sensor.idle", "sensor", "does nothing", (parameter,), law=lambda span, values, memory: None),
     }
     with np.errstate(over="ignore", invalid="ignore"):
-        sizes = {one.effect: one for one in limits([recording(nominal(), {})], nominal(), library)}
+        sizes = {one.effect: one for one in limits([recording(nominal(), {})], nominal(), library).sizes}
     assert sizes["sensor.idle"].smallest is None
     assert sizes["sensor.idle"].needs is not None
     assert sizes["sensor.bursts"].smallest is None or 0.0 < sizes["sensor.bursts"].smallest <= 1.0
@@ -119,6 +121,31 @@ def test_every_answer_holds_the_limits_and_the_command_prints_them_alone(
     of_a_folder = CliRunner().invoke(app, ["diagnose", str(tmp_path), "--limits"]).exception
     assert isinstance(of_a_folder, BadInput)
     assert "--limits is for one recording" in str(of_a_folder)
+
+
+def test_the_limits_beside_an_own_simulator_are_those_of_its_answer_and_say_what_it_does_not_let_be_judged(tmp_path: Path) -> None:
+    samples = record(own_simulator)
+    write_csv(tmp_path / "a.csv", samples)
+    save_cell(tmp_path / "cell.yaml", stated())
+    mine = smooth(samples)
+    np.savetxt(tmp_path / "mine.csv", np.column_stack(list(mine.values())), delimiter=",", header=",".join(mine), comments="")
+    command = ["diagnose", str(tmp_path / "a.csv"), "--cell", str(tmp_path / "cell.yaml"), "--simulated", str(tmp_path / "mine.csv")]
+    assert CliRunner().invoke(app, [*command, "--json", str(tmp_path / "out.json")]).exit_code == 0
+    answer = json.loads((tmp_path / "out.json").read_text())
+    assert answer["simulated"]["not_judged"]
+    shown = limits_of_files([tmp_path / "a.csv"], tmp_path / "cell.yaml", simulated=[tmp_path / "mine.csv"])
+    assert [one.to_json() for one in shown.sizes] == answer["detectable"]
+    assert shown.not_judged in answer["basis"]
+    printed = CliRunner().invoke(app, [*command, "--limits"]).output
+    assert {name for name in answer["simulated"]["not_judged"] if name not in printed} == set()
+
+
+def test_the_limits_since_the_cell_was_healthy_are_those_of_its_answer(tmp_path: Path) -> None:
+    for number, name in enumerate("abcd"):
+        write_csv(tmp_path / f"{name}.csv", record(own_simulator, seed=number))
+    healthy, now = [tmp_path / f"{name}.csv" for name in "abc"], [tmp_path / "d.csv"]
+    answer = diagnose_files(now, None, healthy=healthy, propose=False)
+    assert [one.to_json() for one in limits_of_files(now, None, healthy=healthy).sizes] == answer.to_json()["detectable"]
 
 
 @pytest.mark.parametrize(
