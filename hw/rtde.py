@@ -13,6 +13,8 @@ What the library does, measured, and what follows here:
 - The control object is not thread-safe. One thread calls; a call that might block is made by a second one while the first waits.
 - A command that waits for the control script waits 4 s and more where the script was stopped, was replaced, or hears nothing. Speeds wait
   after another command only. So whatever waits is given up as soon as the state says why, at the latest after half a second.
+- It waits for a script that is not ready without a pause, and its own thread must hear that it is. At the priority of the loop such a
+  wait keeps that thread from a processor, on a single one for its whole 4 s. So whatever may wait runs at a priority below that thread's.
 - Getters lock one variable each and repeat old values for ever without an error. So a snapshot lies between two equal
   timestamps, and its age comes from the controller's timestamp.
 """
@@ -20,6 +22,7 @@ What the library does, measured, and what follows here:
 import contextlib
 import ctypes
 import math
+import os
 import socket
 import struct
 import threading
@@ -211,6 +214,7 @@ class UrRobot:
         self._moving = False
         self._lost = False
         self._fed_s = math.nan
+        self._priority = max(0, os.sched_getparam(0).sched_priority - 1)  # the library's threads inherit that of this one
         for port in (SCRIPT_PORT, DASHBOARD_PORT):
             _connect(host, port).close()
         self._reader = UrReader(host, model=model, rate_Hz=rate_Hz)
@@ -296,17 +300,18 @@ class UrRobot:
                 return
             if self._moving:
                 self._control.speedL([0.0] * 6, STOP_M_PER_S2)
-                if not _bounded(lambda: self._control.speedStop(STOP_M_PER_S2), STOP_TIMEOUT_S):
+                if not _bounded(lambda: self._control.speedStop(STOP_M_PER_S2), STOP_TIMEOUT_S, self._priority):
                     self._give_up()
                 self._moving = False
             elif self._armed:
-                self._control.kickWatchdog()
+                if not _bounded(self._control.kickWatchdog, STOP_TIMEOUT_S, self._priority):
+                    self._give_up()
                 self._fed_s = time.monotonic()
 
     def end(self) -> None:
         """Stop and end the control script, at most 5 s. Never raises. For a process that ends next, and its connections with it."""
         self.stop()
-        if not (self._lost or _bounded(self._end_script, CLOSE_TIMEOUT_S)):
+        if not (self._lost or _bounded(self._end_script, CLOSE_TIMEOUT_S, self._priority)):
             self._give_up()
 
     def close(self) -> None:
@@ -349,8 +354,7 @@ class UrRobot:
             with contextlib.suppress(RuntimeError):  # the library's own thread is connecting anew
                 answers.append(command())
 
-        sender = threading.Thread(target=send, daemon=True)
-        sender.start()
+        sender = _started(send, self._priority)
         until_s, unfit = time.monotonic() + SCRIPT_TIMEOUT_S, False
         while sender.is_alive() and not unfit and time.monotonic() < until_s:
             sender.join(self.period_s)
@@ -554,17 +558,29 @@ def _first_line(error: Exception) -> str:
     return str(error).strip().split("\n")[0].rstrip(".!")
 
 
-def _bounded(call: Callable[[], object], timeout_s: float) -> bool:
+def _bounded(call: Callable[[], object], timeout_s: float, priority: int = 0) -> bool:
     """Make a call that might block for minutes. Returns false if it is not back in time, and drops its exceptions."""
 
     def run() -> None:
         with contextlib.suppress(Exception):
             call()
 
-    thread = threading.Thread(target=run, daemon=True)
-    thread.start()
+    thread = _started(run, priority)
     thread.join(timeout_s)
     return not thread.is_alive()
+
+
+def _started(run: Callable[[], None], priority: int) -> threading.Thread:
+    """Start a thread at a real-time priority of at most `priority`; at 0 it is an ordinary one."""
+
+    def give_way() -> None:
+        if os.sched_getparam(0).sched_priority > priority:  # inherited from the thread that starts this one
+            os.sched_setscheduler(0, os.SCHED_FIFO if priority else os.SCHED_OTHER, os.sched_param(priority))
+        run()
+
+    thread = threading.Thread(target=give_way, daemon=True)
+    thread.start()
+    return thread
 
 
 def _open(settings: RobotSettings) -> UrRobot:

@@ -14,7 +14,8 @@ LOOP_PRIORITY = 60
 """FIFO priority of the loop: above the interrupt threads of a real-time kernel, which have 50."""
 DEVICE_PRIORITY = 55
 """FIFO priority of ur_rtde's receive threads, which inherit it from the thread that starts them. They hold locks that the loop needs, and
-these locks do not lend their holder the loop's priority. So no other thread may have a priority between the two."""
+these locks do not lend their holder the loop's priority. So no other thread may have a priority between the two. What waits for these
+threads in the library runs below them: it waits without a pause."""
 CPU_LATENCY = "/dev/cpu_dma_latency"
 """The kernel's PM QoS: as long as this file is open, idle processors wake up within the written number of µs."""
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4

@@ -194,7 +194,7 @@ class Client:
 import json, os, sys, time
 from hw.rtde import UrReader, UrRobot
 from palpd.errors import RobotError
-from palpd.daemon.realtime import DEVICE_PRIORITY, fifo
+from palpd.daemon.realtime import DEVICE_PRIORITY, LOOP_PRIORITY, fifo
 fifo(DEVICE_PRIORITY)  # as the motion process has it while it opens and closes
 host, model, rate_Hz = {self.cell.wires.host!r}, {self.cell.model!r}, {rate_Hz}
 out = {{}}
@@ -265,6 +265,24 @@ def client(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     skip_without_ur_rtde()
     with emulated_cell(tmp_path_factory.mktemp(request.param), request.param) as cell:
         yield Client(cell)
+
+
+@pytest.mark.hil
+def test_a_command_that_waits_leaves_a_single_processor_to_the_thread_that_hears_the_answer(client: Client) -> None:
+    report = client.run("""
+        os.sched_setaffinity(0, {os.sched_getaffinity(0).pop()})
+        robot = connect()
+        out["urgent"] = fifo(LOOP_PRIORITY)
+        began = time.monotonic(); robot.move((0.0, 0.0, 0.01)); out["moves_s"] = time.monotonic() - began
+        go(robot, 0.01, 0.2)
+        began = time.monotonic(); robot.stop(); robot.stop(); robot.stop(); out["stops_s"] = time.monotonic() - began
+        out["connected"] = robot.read().connected
+        """)
+    assert report["connected"]
+    assert report["moves_s"] < 1.0  # at the loop's priority the library waits for 4 s, and then in vain
+    assert report["stops_s"] < 1.0
+    if not report["urgent"]:
+        pytest.skip("SCHED_FIFO is not permitted here: nothing keeps another thread from the processor")
 
 
 @pytest.mark.hil
