@@ -24,6 +24,7 @@ class ToolAnswer:
         p_unknown: That something acts that the list has no name for.
         cpu_s: Processor time; None where the tool does not say.
         failed: Why there is no answer; empty where there is one.
+        made_by: Versions and commit of what answered; empty where the tool does not say.
     """
 
     verdict: str
@@ -33,6 +34,7 @@ class ToolAnswer:
     p_unknown: float
     cpu_s: float | None = None
     failed: str = ""
+    made_by: str = ""
 
     @staticmethod
     def of(content: Mapping[str, Any], where: str) -> "ToolAnswer":
@@ -45,8 +47,9 @@ class ToolAnswer:
             BadInput: It is none.
         """
         extra = content.get("arena") or {}
+        made_by = str(extra.get("made_by", ""))
         if "failed" in extra:
-            return ToolAnswer("unknown", (), {}, 0.5, 0.5, cpu_s=extra.get("cpu_s"), failed=str(extra["failed"]))
+            return ToolAnswer("unknown", (), {}, 0.5, 0.5, cpu_s=extra.get("cpu_s"), failed=str(extra["failed"]), made_by=made_by)
         if content.get("schema") != SCHEMA or content.get("verdict") not in VERDICTS:
             raise BadInput(f"{where} is no answer: schema and verdict are expected to be {SCHEMA!r} and one of {', '.join(VERDICTS)}")
         try:
@@ -55,7 +58,7 @@ class ToolAnswer:
             p_none, p_unknown = _share(content["p_none"]), _share(content["p_unknown"])
         except (KeyError, TypeError, ValueError) as error:
             raise BadInput(f"{where} is no answer: {error!r}; docs/arena.md says what it must hold") from None
-        return ToolAnswer(content["verdict"], named, probability, p_none, p_unknown, extra.get("cpu_s"))
+        return ToolAnswer(content["verdict"], named, probability, p_none, p_unknown, extra.get("cpu_s"), made_by=made_by)
 
     @staticmethod
     def load(path: Path) -> "ToolAnswer":

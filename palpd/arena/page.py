@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
-from importlib.metadata import version
 from itertools import cycle
 from pathlib import Path
 
@@ -16,7 +15,7 @@ INTRODUCTION = """# The arena: {title}
 
 What tools say of recordings whose cause is known. [The arena](arena.md) explains rigs, answers and score, and how to ask another tool.
 *Bits*: what the truth costs under the stated probabilities, 0 at best. Intervals are 95 % intervals of Wilson. The worst rig of each tool
-is bold. {asked} Scored on {date} with palpd {version}.
+is bold. {asked} Scored on {date}; answers of {made_by}.
 
 Again: `{command}`."""
 
@@ -87,7 +86,7 @@ def write_page(folder: Path, cases: Path, rigs: Sequence[ArenaRig], tools: Mappi
         title=title,
         asked=f"{questions} questions to {len(rigs)} rigs.",
         date=datetime.now(tz=UTC).date(),
-        version=version("palpd"),
+        made_by="; ".join(sorted({row.answer.made_by for rows in tools.values() for row in rows} - {""})) or "unknown versions",
         command=f"palpd arena score --cases {cases.name if cases.name != 'arena' else 'benchmarks/arena'} "
         + " ".join(f"--answers answers/{name}" for name in tools),
     )

@@ -2,11 +2,14 @@
 
 import json
 import signal
+import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
+from platform import python_version
 from types import FrameType
 from typing import Any
 
@@ -38,7 +41,7 @@ def ask(tool: str, questions: Sequence[Question], out: Path, *, jobs: int, limit
     left = [question for question in questions if not answer_file(out, question).is_file()]
     advance(len(questions) - len(left))
     with pool(jobs) as workers:
-        for question, content in zip(left, workers.map(partial(_answer, tool, limit_s), left), strict=True):
+        for question, content in zip(left, workers.map(partial(_answer, tool, limit_s, _made_by()), left), strict=True):
             file = answer_file(out, question)
             file.parent.mkdir(parents=True, exist_ok=True)
             write_json(file, content)
@@ -63,7 +66,18 @@ def answer_file(answers: Path, question: Question) -> Path:
     return answers / question.rig / f"{question.name}.json"
 
 
-def _answer(tool: str, limit_s: float, question: Question) -> dict[str, Any]:
+def _made_by() -> str:
+    """Versions of what answers, and the commit where palpd runs from a checkout."""
+    describe = ["git", "-C", str(Path(__file__).parents[2]), "describe", "--always", "--dirty", "--exclude=*", "--abbrev=12"]
+    try:
+        commit = subprocess.run(describe, capture_output=True, text=True, check=False).stdout.strip()
+    except OSError:
+        commit = ""
+    of = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy"))
+    return f"palpd {version('palpd')}{f' (commit {commit})' if commit else ''}, Python {python_version()}, {of}"
+
+
+def _answer(tool: str, limit_s: float, made_by: str, question: Question) -> dict[str, Any]:
     began = time.process_time()
     try:
         with _limited(limit_s):
@@ -76,7 +90,8 @@ def _answer(tool: str, limit_s: float, question: Question) -> dict[str, Any]:
     plain = {
         key: content[key] for key in ("schema", "verdict", "sentence", "effects", "candidates", "p_none", "p_unknown") if key in content
     }
-    result: dict[str, Any] = json.loads(json.dumps(plain | {"arena": extra | {"tool": tool, "cpu_s": time.process_time() - began}}))
+    extra |= {"tool": tool, "made_by": made_by, "cpu_s": time.process_time() - began}
+    result: dict[str, Any] = json.loads(json.dumps(plain | {"arena": extra}))
     return result
 
 

@@ -25,16 +25,17 @@ def check_schema(answers: Path) -> None:
         jsonschema.validate(json.loads(path.read_text(encoding="utf-8")), SCHEMA)
 
 
-def test_palpd_answers_six_of_the_shipped_questions(tmp_path: Path) -> None:
-    questions = every(rigs(CASES), 6)
+def test_palpd_answers_ten_of_the_shipped_questions(tmp_path: Path) -> None:
+    questions = every(rigs(CASES), 10)
     summary: list[int] = []
     ask("palpd", [question for question, _ in questions], tmp_path, jobs=1, limit_s=120.0, advance=summary.append)
     rows = scored(questions, tmp_path)
     check_schema(tmp_path)
-    assert sum(summary) == 6
+    assert sum(summary) == 10
     assert not [row.answer.failed for row in rows if row.answer.failed]
     assert all(row.answer.cpu_s for row in rows)
-    assert sum(row.right for row in rows) >= 4, [(row.question.rig, row.question.name, row.answer.verdict) for row in rows]
+    assert all(row.answer.made_by.startswith("palpd ") for row in rows)
+    assert sum(row.right for row in rows) >= 5, [(row.question.rig, row.question.name, row.answer.verdict) for row in rows]
 
 
 @pytest.mark.parametrize("tool", ["threshold", "always", "least-squares", "sindy"])
