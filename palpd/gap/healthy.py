@@ -345,9 +345,8 @@ class HealthyCell:
         for channel, weights, terms in self._weighed(motion, self.terms(motion, FZ)):
             own = np.linalg.cholesky(weights.covariance + 1e-12 * np.trace(weights.covariance) * np.eye(len(weights.mean)))
             # Those combinations of the weights' errors that change this prediction most.
-            by_error = terms @ own
-            _, sizes, turned = np.linalg.svd(np.linalg.qr(by_error, mode="r"))
-            errors = (by_error @ turned.T[:, :MOST_ERRORS]).T[sizes[:MOST_ERRORS] > 0.0]
+            squares, turned = np.linalg.eigh(own.T @ (terms.T @ terms) @ own)
+            errors = (terms @ (own @ turned[:, -MOST_ERRORS:])).T[squares[-MOST_ERRORS:] > 0.0]
             for change in (*errors, *(terms @ difference for difference in weights.between)):
                 one = np.zeros((7, n))
                 one[channel] = change
