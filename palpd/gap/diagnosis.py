@@ -82,7 +82,6 @@ def limits(
     cell: CellFile,
     effects: Mapping[str, Effect] = EFFECTS,
     *,
-    max_bins: int = MAX_BINS,
     simulators: Sequence[UserSimulator] = (),
 ) -> "ShownSizes":
     """The smallest size of each effect that recordings of one cell would show, without a diagnosis.
@@ -90,14 +89,13 @@ def limits(
     Args:
         cell: The cell as the simulator knows it.
         effects: The effects that may be present.
-        max_bins: Largest number of bins of all recordings, approximately.
         simulators: As in `diagnose`.
 
     Raises:
         RecordingError: The recordings cannot be judged.
     """
     with threadpool_limits(1):
-        posed = _posed(recordings, cell, effects, max_bins, simulators)
+        posed = _posed(recordings, cell, effects, MAX_BINS, simulators)
         nominal = settle(problem_of(posed.observations, posed.library))
         sizes = detectable_sizes(nominal.problem, nominal.fit.linearisation)
         return ShownSizes(sizes, "" if posed.source is None else posed.source.not_judged_sentences.strip())

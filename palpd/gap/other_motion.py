@@ -11,7 +11,6 @@ from palpd.gap.data.noise import CHANNELS, declared_rms
 from palpd.gap.diagnosis import Diagnosis
 from palpd.gap.model.problem import make_problem
 from palpd.gap.plain import CHANNEL_WORDS, unit_of
-from palpd.gap.user_simulator import UserSimulator
 from palpd.quantities import quantity
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -74,19 +73,17 @@ class MotionCheck:
         return {"channel": self.channel, "sentence": self.sentence, "duration_s": float(self.t_s[-1] - self.t_s[0])} | figures
 
 
-def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | None = None) -> MotionCheck:
+def check_on(diagnosis: Diagnosis, samples: Samples) -> MotionCheck:
     """Compare another recording of the same cell with the prediction of its enriched cell.
 
     Args:
         samples: A recording that the diagnosis has not seen.
-        simulator: The output of the user's simulator for this recording; None where the diagnosis had no such simulator, or had a function
-            that can be asked again.
 
     Returns:
         The comparison in the channel of the learned law, or without a law in that of the largest gap.
 
     Raises:
-        BadInput: The user's simulator is the nominal, and its output for this recording is not known.
+        BadInput: The nominal is the output of a user's simulator for the diagnosed motion alone.
     """
     enriched, nominal = diagnosis.enriched_cell(), diagnosis.problem.cell
     learned = diagnosis.decision.learned
@@ -95,7 +92,12 @@ def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | 
     else:
         channel = diagnosis.gap.where["channel"] if diagnosis.gap.where is not None else "fz_N"
     plain = enriched.model_copy(update={"effects": nominal.effects, "learned": nominal.learned})
-    simulators = _simulators_for(diagnosis, simulator)
+    simulators = [its.simulated.simulator for its in diagnosis.problem.recordings if its.simulated is not None][:1]
+    if simulators and not simulators[0].any_motion:
+        raise BadInput(
+            f"the nominal is {simulators[0].name}, which holds the diagnosed motion alone, and another motion is asked for; give a "
+            "function, which can be asked again"
+        )
     problem = make_problem([samples], nominal, diagnosis.problem.library, simulators=simulators)
     one, rows = problem.recordings[0], max(1, round(MEAN_S * samples.rate_Hz))
     k = CHANNELS.index(channel)
@@ -106,19 +108,6 @@ def check_on(diagnosis: Diagnosis, samples: Samples, simulator: UserSimulator | 
     measured = np.column_stack([samples.z_m, samples.wrench])[:, k]
     noise = float(declared_rms(nominal)[k]) / rows**0.5
     return MotionCheck(channel, _means(one.sampled.t_s, rows), _means(measured, rows), predicted(plain), predicted(enriched), noise)
-
-
-def _simulators_for(diagnosis: Diagnosis, simulator: UserSimulator | None) -> list[UserSimulator]:
-    """The nominal simulator for another recording; empty where palpd itself simulates the nominal cell."""
-    known = [its.simulated.simulator for its in diagnosis.problem.recordings if its.simulated is not None]
-    if simulator is not None:
-        return [simulator]
-    if known and not known[0].any_motion:
-        raise BadInput(
-            f"the nominal is {known[0].name}, which holds the diagnosed motion alone, and another motion is asked for; give your "
-            "simulator's output for it"
-        )
-    return known[:1]
 
 
 def _means(values: Floats, rows: int) -> Floats:

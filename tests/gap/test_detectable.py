@@ -141,9 +141,9 @@ def test_the_limits_beside_an_own_simulator_are_those_of_its_answer_and_say_what
 
 
 def test_the_limits_since_the_cell_was_healthy_are_those_of_its_answer(tmp_path: Path) -> None:
-    for number, name in enumerate("abcd"):
-        write_csv(tmp_path / f"{name}.csv", record(own_simulator, seed=number))
-    healthy, now = [tmp_path / f"{name}.csv" for name in "abc"], [tmp_path / "d.csv"]
+    for number, name in enumerate("abc"):
+        write_csv(tmp_path / f"{name}.csv", record(own_simulator, seed=number, presses_m=(0.005,)))
+    healthy, now = [tmp_path / f"{name}.csv" for name in "ab"], [tmp_path / "c.csv"]
     answer = diagnose_files(now, None, healthy=healthy, propose=False)
     assert [one.to_json() for one in limits_of_files(now, None, healthy=healthy).sizes] == answer.to_json()["detectable"]
 

@@ -63,7 +63,7 @@ def rivals_of_law(problem: Problem, attribution: Attribution, named: NamedLaw) -
             effect = effect.model_copy(update={"id": free_name(effect.id, taken)})
             taken.add(effect.id)
             listed.append((effect, other, min(scored.nats, law.terms[0].nats)))
-    problem = problem.with_library({effect.id: effect.effect() for effect, _, _ in listed})
+    problem = replace(problem, library={**problem.library, **{effect.id: effect.effect() for effect, _, _ in listed}})
     weights = np.array([exp(nats - listed[0][2]) for _, _, nats in listed])
     shares = named.p_outside * weights / weights.sum()
     beside = named.sought.beside

@@ -1,4 +1,4 @@
-"""Stage 3 of a diagnosis: the search over sets of effects. Each step makes the next state and records what it fitted."""
+"""Stage 3 of a diagnosis: the search over sets of effects. Each step makes the next state."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -26,21 +26,6 @@ Fits = Mapping[tuple[str, ...], Fit]
 
 
 @dataclass(frozen=True)
-class Tried:
-    """A set of effects that a step has fitted.
-
-    Attributes:
-        gain: Gain in squared sigmas that the scan promised; None where the fit began elsewhere.
-        nats: log E of the fit, without the prior of the set.
-    """
-
-    step: str
-    names: tuple[str, ...]
-    gain: float | None
-    nats: float
-
-
-@dataclass(frozen=True)
 class SearchState:
     """A search between two of its steps.
 
@@ -49,7 +34,7 @@ class SearchState:
         frequencies_Hz: Those at which an oscillation may start.
         candidates: For a single effect.
         fits: The best fit of every set so far; the empty set is among them.
-        tried: All fits so far, in their order.
+        largest_gain: That a scan has promised, in squared sigmas.
     """
 
     problem: Problem
@@ -57,17 +42,11 @@ class SearchState:
     frequencies_Hz: tuple[float, ...]
     candidates: tuple[Candidate, ...]
     fits: Fits
-    tried: tuple[Tried, ...] = ()
+    largest_gain: float = 0.0
 
-    def with_fit(self, step: str, fitted: Fit, *, gain: float | None = None, best: Fit | None = None) -> "SearchState":
-        """The state after a step has fitted a set.
-
-        Args:
-            gain: That the scan promised; None: the fit began elsewhere.
-            best: The fit of this set to keep; None: `fitted`.
-        """
-        tried = Tried(step, fitted.names, gain, fitted.log_evidence)
-        return replace(self, fits={**self.fits, fitted.names: best or fitted}, tried=(*self.tried, tried))
+    def with_fit(self, fitted: Fit, gain: float = 0.0) -> "SearchState":
+        """The state with this fit of its set; `gain` is what a scan promised of it."""
+        return replace(self, fits={**self.fits, fitted.names: fitted}, largest_gain=max(self.largest_gain, gain))
 
     def leading(self, size: int, most: int) -> list[Fit]:
         """The fits of sets of `size` effects, by falling evidence, at most `most` of them."""
@@ -87,7 +66,7 @@ def single_effects(state: SearchState) -> SearchState:
         gain = matches[name][0].gain
         if number < ASSUMED.search.fitted_after_scan or gain > ASSUMED.search.also_fitted_gain * matches[order[0]][0].gain:
             fitted = _fit_from(problem, linearisation, name, matches[name], {}, starts=3, iterations=8)
-            state = state.with_fit("single effects", fitted, gain=gain)
+            state = state.with_fit(fitted, gain)
     return state
 
 
@@ -98,7 +77,7 @@ def from_afar(state: SearchState) -> SearchState:
     readings is always sought so: it hides how stiff the tissue is, and the nominal modulus then lies below all that it could clip.
     """
     problem = state.problem
-    large_gap = any(tried.gain is not None and tried.gain > ASSUMED.search.large_gap for tried in state.tried)
+    large_gap = state.largest_gain > ASSUMED.search.large_gap
     for effect in problem.library.values():
         single = state.fits.get((effect.id,))
         limited = _limits_readings(effect, problem.scale) and not problem.cell.tolerances.modulus_known
@@ -120,7 +99,7 @@ def from_afar(state: SearchState) -> SearchState:
         for _, values, there in sorted(misfits, key=lambda item: item[0])[:2]:
             fitted = fit(problem, {effect.id: values}, there, iterations=6, rounds=ASSUMED.search.rounds)
             single = fitted if single is None or fitted.log_evidence > single.log_evidence else single
-            state = state.with_fit("from afar", fitted, best=single)
+            state = state.with_fit(single)
     return state
 
 
@@ -135,7 +114,7 @@ def refine(state: SearchState, size: int, most: int) -> SearchState:
             fits = [fit(problem, before.values, before.linearisation, iterations=2, rounds=ASSUMED.search.rounds)]
             for values in other_laws(fits[0].values, problem.library, problem.scale):
                 fits.append(fit(problem, values, fits[0].linearisation, iterations=6, rounds=1))
-            state = state.with_fit("refine", max(fits, key=lambda fitted: fitted.log_evidence))
+            state = state.with_fit(max(fits, key=lambda fitted: fitted.log_evidence))
     return state
 
 
@@ -152,7 +131,7 @@ def extend(state: SearchState, size: int, sets: int, further: int) -> SearchStat
             gain, names = matches[name][0].gain, {*smaller.names, name}
             if gain >= ASSUMED.search.least_gain and not any(names == set(known) for known in state.fits):
                 fitted = _fit_from(problem, linearisation, name, matches[name], smaller.values, starts=1, iterations=5)
-                state = state.with_fit("extend", fitted, gain=gain)
+                state = state.with_fit(fitted, gain)
     return state
 
 

@@ -1,6 +1,6 @@
 """Stage 2 of a diagnosis: the cell without effects, which settles how large the simulator's error may be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,10 +38,10 @@ def settle(problem: Problem) -> NominalFit:
     stated = linearise(problem, {}, NOMINAL_ETA)
     if any(drags := _cycles_that_drag(problem, stated)):
         pairs = zip(problem.servo_errors, drags, strict=True)
-        problem = problem.tolerating(tuple(errors.without(HELD_TARGETS) if drag else errors for errors, drag in pairs))
+        problem = replace(problem, servo_errors=tuple(errors.without(HELD_TARGETS) if drag else errors for errors, drag in pairs))
         stated = linearise(problem, {}, NOMINAL_ETA)
     if problem.cell.effects:
-        problem = problem.tolerating(law_errors=np.concatenate([problem.law_errors, _law_errors(problem, stated)]))
+        problem = replace(problem, law_errors=np.concatenate([problem.law_errors, _law_errors(problem, stated)]))
         stated = linearise(problem, {}, NOMINAL_ETA)
     if not problem.cell.tolerances.modulus_known:
         first = fit(problem, {}, stated, rounds=8)

@@ -9,7 +9,7 @@ import numpy as np
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import CHANNELS, FX, FZ
 from palpd.gap.data.phases import Ints
-from palpd.gap.gaussian.evidence import posterior_of
+from palpd.gap.gaussian.evidence import batch_nats, posterior_of
 from palpd.gap.gaussian.nuisance_space import NuisanceSpace
 from palpd.gap.laws.scene import Scene
 from palpd.gap.model.problem import Problem
@@ -215,24 +215,13 @@ def wander_nats(scene: Scene, space: NuisanceSpace) -> float:
         start += len(t)
         hats.append(mine)
     white = np.where(np.isfinite(problem.noise.sigma[FZ]), 1.0 / problem.noise.sigma[FZ], 0.0)[:, None]
+    knots = np.arange(ASSUMED.events.wander_knots)
+    distance = np.abs(np.subtract.outer(knots, knots))
+    roots = tuple(np.linalg.cholesky(np.exp(-distance / length)) for length in ASSUMED.events.wander_lengths)
     best = -np.inf
     for factor in (white, white * scene.factor("fz_N", "force")[:, None]):
         products = [space.products({FZ: factor * mine}) for mine in hats]
         # Every recording wanders by itself.
-        best = max(best, sum(_wander(one.gram, one.slope) for one in products))
+        nats = batch_nats(np.array([one.gram for one in products]), np.array([one.slope for one in products]), roots)
+        best = max(best, float(nats[np.isfinite(nats)].sum()))  # a recording without contact says nothing of a scale
     return best
-
-
-def _wander(gram: Floats, slope: Floats) -> float:
-    distance = np.abs(np.subtract.outer(np.arange(ASSUMED.events.wander_knots), np.arange(ASSUMED.events.wander_knots)))
-    each = []
-    for length in ASSUMED.events.wander_lengths:
-        root = np.linalg.cholesky(np.exp(-distance / length))
-        values, vectors = np.linalg.eigh(root.T @ gram @ root)
-        values = np.maximum(values, 0.0)
-        q = vectors.T @ (root.T @ slope)
-        for size in ASSUMED.laws.sizes_sd:
-            square = size**2 / max(float(values.sum()), 1e-300)
-            weight = 1.0 + square * values
-            each.append(float(0.5 * (square * q**2 / weight - np.log(weight)).sum()))
-    return float(np.logaddexp.reduce(each) - log(len(each)))

@@ -50,7 +50,7 @@ RELATIVE = {"youngs_modulus", "filter_cutoff", "servo_natural_frequency"}
 
 
 MAX_BINS = 4500
-"""Approximate number of bins of a diagnosis; it bounds the time and memory of a diagnosis (benchmarks/diagnose.py)."""
+"""Approximate number of bins of a diagnosis; it bounds the time and memory of a diagnosis."""
 
 MODULUS = np.array(SHARED) == "youngs_modulus"
 SERVO = np.array(SHARED) == "servo_natural_frequency"
@@ -155,19 +155,6 @@ class Problem:
         """The problem of the cell without the effects that are known of it."""
         return replace(self, cell=self.cell.with_effects({}), workspace=Workspace())
 
-    def tolerating(self, servo_errors: tuple[ServoErrors, ...] | None = None, law_errors: Floats | None = None) -> "Problem":
-        """The problem in which controllers, or the laws of known effects, may be wrong by something else.
-
-        Args:
-            servo_errors: As the attribute, one for each recording; None: as before.
-            law_errors: As the attribute (m, 7, b); None: as before.
-        """
-        return replace(
-            self,
-            servo_errors=self.servo_errors if servo_errors is None else servo_errors,
-            law_errors=self.law_errors if law_errors is None else law_errors,
-        )
-
     def with_row_weight(self, weight: float | Floats) -> "Problem":
         """The problem in which every bin counts for `weight` bins.
 
@@ -180,10 +167,6 @@ class Problem:
     def with_shared_sd(self, shared_sd: Floats) -> "Problem":
         """The problem with other tolerances: standard deviations of SHARED (11,), as the attribute."""
         return replace(self, shared_sd=shared_sd, workspace=Workspace())
-
-    def with_library(self, further: Mapping[str, Effect]) -> "Problem":
-        """The problem in which further effects may be present, by ids that are not in its library."""
-        return replace(self, library={**self.library, **further})
 
     def without(self, change: Floats) -> "Problem":
         """The problem of readings from which a whitened change (7, b) is taken away."""
