@@ -44,6 +44,7 @@ DIMENSIONLESS = {
     "fy_per_fz": "ratio of forces",
     "gain": "ratio",
     "gained": "log probability",
+    "largest_gain": "squares of sigmas",
     "leading_leaves": "share of a misfit",
     "log_bayes_factor": "log probability",
     "log_determinant": "log of a ratio of volumes",
