@@ -64,13 +64,14 @@ class HealthyReference:
         Raises:
             RecordingError: The recordings cannot be judged.
         """
-        usual = UsualChanges.of(healthy, HealthyCell.of(healthy, cell, beside_healthy(library)))
         with threadpool_limits(1):  # as in a diagnosis
+            usual = UsualChanges.of(healthy, HealthyCell.of(healthy, cell, beside_healthy(library)))
             return HealthyReference(usual, _habits(usual))
 
     def simulator(self, now: Samples) -> UserSimulator:
         """The simulator of the healthy cell for a recording that is compared."""
-        return self.usual.allowed(since_onset(self.learned.simulator(), self.learned, now), now, self.habits)
+        with threadpool_limits(1):
+            return self.usual.allowed(since_onset(self.learned.simulator(), self.learned, now), now, self.habits)
 
 
 def _habits(usual: UsualChanges) -> Mapping[str, float]:
