@@ -300,18 +300,18 @@ class UrRobot:
                 return
             if self._moving:
                 self._control.speedL([0.0] * 6, STOP_M_PER_S2)
-                if not _bounded(lambda: self._control.speedStop(STOP_M_PER_S2), STOP_TIMEOUT_S, self._priority):
+                if not _bounded(self._giving_way(lambda: self._control.speedStop(STOP_M_PER_S2)), STOP_TIMEOUT_S):
                     self._give_up()
                 self._moving = False
             elif self._armed:
-                if not _bounded(self._control.kickWatchdog, STOP_TIMEOUT_S, self._priority):
+                if not _bounded(self._giving_way(self._control.kickWatchdog), STOP_TIMEOUT_S):
                     self._give_up()
                 self._fed_s = time.monotonic()
 
     def end(self) -> None:
         """Stop and end the control script, at most 5 s. Never raises. For a process that ends next, and its connections with it."""
         self.stop()
-        if not (self._lost or _bounded(self._end_script, CLOSE_TIMEOUT_S, self._priority)):
+        if not (self._lost or _bounded(self._giving_way(self._end_script), CLOSE_TIMEOUT_S)):
             self._give_up()
 
     def close(self) -> None:
@@ -354,7 +354,8 @@ class UrRobot:
             with contextlib.suppress(RuntimeError):  # the library's own thread is connecting anew
                 answers.append(command())
 
-        sender = _started(send, self._priority)
+        sender = threading.Thread(target=self._giving_way(send), daemon=True)
+        sender.start()
         until_s, unfit = time.monotonic() + SCRIPT_TIMEOUT_S, False
         while sender.is_alive() and not unfit and time.monotonic() < until_s:
             sender.join(self.period_s)
@@ -367,6 +368,16 @@ class UrRobot:
         if sender.is_alive():
             self._give_up()
         raise RobotError(why)
+
+    def _giving_way(self, call: Callable[[], object]) -> Callable[[], None]:
+        """A call for a thread of its own, which runs below the priority of the library's thread that hears the answer."""
+
+        def run() -> None:
+            if os.sched_getparam(0).sched_priority > self._priority:  # inherited from the thread that starts this one
+                os.sched_setscheduler(0, os.SCHED_FIFO if self._priority else os.SCHED_OTHER, os.sched_param(self._priority))
+            call()
+
+        return run
 
     def _give_up(self) -> None:
         """Keep the control object for ever and use it no more: its destruction crashes the process, because its thread reconnects."""
@@ -558,29 +569,17 @@ def _first_line(error: Exception) -> str:
     return str(error).strip().split("\n")[0].rstrip(".!")
 
 
-def _bounded(call: Callable[[], object], timeout_s: float, priority: int = 0) -> bool:
+def _bounded(call: Callable[[], object], timeout_s: float) -> bool:
     """Make a call that might block for minutes. Returns false if it is not back in time, and drops its exceptions."""
 
     def run() -> None:
         with contextlib.suppress(Exception):
             call()
 
-    thread = _started(run, priority)
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
     thread.join(timeout_s)
     return not thread.is_alive()
-
-
-def _started(run: Callable[[], None], priority: int) -> threading.Thread:
-    """Start a thread at a real-time priority of at most `priority`; at 0 it is an ordinary one."""
-
-    def give_way() -> None:
-        if os.sched_getparam(0).sched_priority > priority:  # inherited from the thread that starts this one
-            os.sched_setscheduler(0, os.SCHED_FIFO if priority else os.SCHED_OTHER, os.sched_param(priority))
-        run()
-
-    thread = threading.Thread(target=give_way, daemon=True)
-    thread.start()
-    return thread
 
 
 def _open(settings: RobotSettings) -> UrRobot:
