@@ -31,7 +31,11 @@ NOBODY = "no daemon answers at {path}; start one with palpd serve, or name its s
 NOBODY_TO_STOP = "no daemon answers at {path}, so nothing was stopped; if the arm moves, use the emergency stop"
 
 
-class NoDaemon(Refused):
+class NoAnswer(Refused):
+    """The daemon did not say this: it could not be reached, or has not answered."""
+
+
+class NoDaemon(NoAnswer):
     """Nobody listens at the control socket."""
 
 
@@ -206,6 +210,7 @@ class ControlAnswer(TypedDict, total=False):
 
     ok: bool
     error: str
+    unreached: bool
     event: str
     state: str
     latched: str | None
@@ -261,7 +266,8 @@ def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> 
 
     Raises:
         NoDaemon: Nobody listens there.
-        Refused: The daemon refused, or did not answer.
+        NoAnswer: It did not answer.
+        Refused: The daemon refused.
     """
     until_s = time.monotonic() + patience_s
     way_out = "; if the arm moves, use the emergency stop" if request["do"] == "abort" else ""
@@ -270,7 +276,7 @@ def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> 
             answer = json.loads(_exchange(path, json.dumps(request).encode() + b"\n", until_s))
             break
         except PermissionError as error:
-            raise Refused(f"you may not connect to the daemon at {path}; join the group that owns the socket{way_out}") from error
+            raise NoAnswer(f"you may not connect to the daemon at {path}; join the group that owns the socket{way_out}") from error
         except (FileNotFoundError, ConnectionRefusedError) as error:
             raise NoDaemon((NOBODY_TO_STOP if way_out else NOBODY).format(path=path)) from error
         except (OSError, ValueError) as error:
@@ -278,8 +284,8 @@ def ask(path: Path, request: ControlRequest, patience_s: float = PATIENCE_S) -> 
                 time.sleep(RETRY_S)  # the daemon is crowded and had to close this connection
                 continue
             if isinstance(error, ValueError):
-                raise Refused(f"the daemon at {path} closed the connection without an answer{way_out}") from error
-            raise Refused(f"the daemon at {path} did not answer within {patience_s:g} s ({error}){way_out}") from error
+                raise NoAnswer(f"the daemon at {path} closed the connection without an answer{way_out}") from error
+            raise NoAnswer(f"the daemon at {path} did not answer within {patience_s:g} s ({error}){way_out}") from error
     if not answer.get("ok"):
         raise Refused(answer.get("error", "the daemon refused without a reason"))
     return cast(ControlAnswer, answer)

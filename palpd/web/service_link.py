@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, ControlAnswer, ControlRequest, ask, follow
+from palpd.daemon.socket_client import ARM_PATIENCE_S, PATIENCE_S, ControlAnswer, ControlRequest, NoAnswer, ask, follow
 from palpd.errors import Refused
 
 RETRY_S = 0.5
@@ -53,7 +53,7 @@ class ServiceLink:
         threading.Thread(target=follow, args=following, daemon=True, name="follow").start()
 
     async def ask(self, request: ControlRequest) -> ControlAnswer:
-        """Send a request; the answer's `error` holds the refusal, in the words of the service."""
+        """Send a request; the answer's `error` holds the refusal, in the words of the service; `unreached` says that it has not spoken."""
         patience_s = ARM_PATIENCE_S if request["do"] in ("arm", "check") else PATIENCE_S
         return await asyncio.get_running_loop().run_in_executor(self._pool, _answer, self.socket, request, patience_s)
 
@@ -80,5 +80,7 @@ class ServiceLink:
 def _answer(socket: Path, request: ControlRequest, patience_s: float) -> ControlAnswer:
     try:
         return ask(socket, request, patience_s)
+    except NoAnswer as silence:
+        return {"ok": False, "error": str(silence), "unreached": True}
     except Refused as refused:
         return {"ok": False, "error": str(refused)}

@@ -209,7 +209,11 @@ def test_a_service_that_is_killed_in_contact_comes_back_and_the_page_leads_out(p
     state_is(page, "gone")
     assert page.text_content("#doing") == "The service does not answer. If the arm moves, use the emergency stop."
     page.click("#abort")
-    until_text(page, "#message", "so nothing was stopped; if the arm moves, use the emergency stop")
+    nothing_stopped = "so nothing was stopped; if the arm moves, use the emergency stop"
+    until_text(page, "#message", nothing_stopped)
+    page.wait_for_event("response", lambda response: response.url.endswith("/do/renew"))  # which cannot know who holds the controls
+    page.wait_for_timeout(500.0)
+    assert nothing_stopped in str(page.text_content("#message"))
     pages.keep(page, "9-service-dead")
     pages.serve_again()
     state_is(page, "pressed")

@@ -53,8 +53,9 @@ def test_an_abort_that_reaches_no_service_points_at_the_emergency_stop(browser: 
     service.close()
     error = client.post("/abort").json()["error"]
     assert error == f"no daemon answers at {service.path}, so nothing was stopped; if the arm moves, use the emergency stop"
-    error = client.post("/do/arm").json()["error"]
-    assert error == f"no daemon answers at {service.path}; start one with palpd serve, or name its socket with --socket"
+    answer = client.post("/do/arm").json()
+    assert answer["error"] == f"no daemon answers at {service.path}; start one with palpd serve, or name its socket with --socket"
+    assert answer["unreached"], "a page whose controls are renewed in vain does not take this for a refusal"
 
 
 def test_aborts_that_come_while_one_is_under_way_are_carried_out_by_one_more(service: FakeService) -> None:

@@ -3,7 +3,7 @@
 const csrf = document.querySelector('meta[name="palpd-csrf"]').content;
 const NO_LINK = "the page does not reach palpd; look at the cell, and use the emergency stop if anything moves that should not";
 
-/** Send a request. Resolves to the answer: {ok: true, ...} or {ok: false, error: sentence}; it never rejects. */
+/** Send a request. Resolves to the answer: {ok: true, ...} or {ok: false, error: sentence}, with `unreached` where the service has not spoken; it never rejects. */
 export async function ask(path, content = {}, { patience_ms = 8000 } = {}) {
   try {
     const answer = await fetch(path, {
