@@ -139,8 +139,8 @@ def test_the_laplace_step_is_the_integral_over_the_parameters(monkeypatch: pytes
     assert integral == pytest.approx(one.log_exact + volume, abs=1e-3)
 
 
-def discrepancies(monkeypatch: pytest.MonkeyPatch, kinds: list[str], best: Optimum) -> list[ModelDiscrepancy]:
-    monkeypatch.setattr(discrepancy, "discrepancy_columns", lambda *_: (columns_of(D), np.array(kinds)))
+def discrepancies(monkeypatch: pytest.MonkeyPatch, kinds: list[str], best: Optimum, directions: Floats = D) -> list[ModelDiscrepancy]:
+    monkeypatch.setattr(discrepancy, "discrepancy_columns", lambda *_: (columns_of(directions), np.array(kinds)))
     space = best.linearisation.space
     slopes = [project(j, space) for j in jacobian_at(CELL, best.where, best.u, best.linearisation.eta, best.prediction)]
     return model_discrepancies(CELL, best, project(Y - best.prediction, space), slopes, gram(slopes))
@@ -172,6 +172,15 @@ def test_a_law_that_is_off_gains_what_the_page_says(monkeypatch: pytest.MonkeyPa
     promised = gained(COVARIANCE)
     assert [one.gain for one in deviations] == pytest.approx([gain - promised for _, gain in expected], abs=1e-3)
     assert pytest.approx(1.0) == ASSUMED.law_error.p_exact + sum(prior for _, prior in DISCREPANCY_SIZES)
+
+
+def test_a_law_that_is_huge_and_that_tolerances_hide_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What tolerances leave of it is the difference of two large numbers: it came out negative, and the diagnosis ended in a traceback."""
+    huge = np.concatenate([D[:2], 1e12 * D[[2, 2]]])
+    laws = discrepancies(monkeypatch, ["depth", "depth", "rest", "rest"], optimum(), huge)
+    assert {one.log_prior for one in laws} == {np.log(prior / 3) for _, prior in DISCREPANCY_SIZES}
+    assert len(laws) == len(DISCREPANCY_SIZES), "the others stay"
+    assert all(np.isfinite(one.gain) for one in laws)
 
 
 def test_the_likelihood_of_an_effect_averages_over_the_laws_that_it_may_follow(monkeypatch: pytest.MonkeyPatch) -> None:

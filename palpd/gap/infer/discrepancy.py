@@ -69,7 +69,7 @@ def model_discrepancies(
         normal: JᵀPJ (k, k).
 
     Returns:
-        A discrepancy for every size and kind; empty where the effects are too small to show any.
+        A discrepancy for every size and kind that can be computed; empty where the effects are too small to show any.
     """
     columns, kind = discrepancy_columns(problem, best.values, best.prediction, best.linearisation)
     if not columns.size:
@@ -84,8 +84,11 @@ def model_discrepancies(
     if len(ways) > 1:
         ways.append(np.ones(len(kind), dtype=bool))
 
-    def discrepancy(way: NDArray[np.bool_], size: float, prior: float) -> ModelDiscrepancy:
-        factor = cholesky(np.eye(int(way.sum())) + size**2 * squares[np.ix_(way, way)], lower=True)
+    def discrepancy(way: NDArray[np.bool_], size: float, prior: float) -> ModelDiscrepancy | None:
+        try:
+            factor = cholesky(np.eye(int(way.sum())) + size**2 * squares[np.ix_(way, way)], lower=True)
+        except np.linalg.LinAlgError:  # so far from every reading that rounding is larger than what nuisances leave of it
+            return None
         of_residual, of_slopes = (size * solve_triangular(factor, x[way], lower=True) for x in (against_residual, against_slopes))
         inner = normal - of_slopes.T @ of_slopes
         pull = slope - of_slopes.T @ of_residual
@@ -95,7 +98,8 @@ def model_discrepancies(
         coefficients[way] = size * solve_triangular(factor, of_residual - of_slopes @ move, lower=True, trans="T")
         return ModelDiscrepancy(log(prior / len(ways)), gain, inner, move, columns, np.where(kind == SPREAD, 0.0, coefficients))
 
-    return [discrepancy(way, size, prior) for size, prior in DISCREPANCY_SIZES for way in ways]
+    each = (discrepancy(way, size, prior) for size, prior in DISCREPANCY_SIZES for way in ways)
+    return [one for one in each if one is not None]
 
 
 def _reach(c: Coordinate, u: float) -> float:
