@@ -6,6 +6,8 @@ from palpd.tick import Floats
 
 MOST_APART = 1.2
 """Largest ratio of the two steps of a sensor with two slopes: a HEX-70 has up to 1.08."""
+ALIGNED = 0.9
+"""Length of the mean of the phases of readings within a step, 1 if all are multiples of it but for one constant."""
 
 
 def lattice_step(values: Floats) -> float:
@@ -34,3 +36,22 @@ def lattice_step(values: Floats) -> float:
         multiples = gaps / candidate
         on_lattice |= np.abs(multiples - np.rint(multiples)) < 0.02 * np.maximum(multiples, 1.0)
     return step if on_lattice.mean() > 0.9 else 0.0
+
+
+def finest_step(values: Floats) -> float:
+    """The smallest distance of two different readings, where all of them stand on its multiples; else 0.
+
+    It is found among any number of levels, where `lattice_step` needs each of them several times; a sensor with two slopes has none.
+
+    Args:
+        values: The readings (n,).
+
+    Returns:
+        The step in the unit of the readings; 0 if there is none.
+    """
+    gaps = np.diff(np.unique(values))
+    gaps = gaps[gaps > 1e-6 * np.ptp(values)]
+    if len(gaps) < 2:
+        return 0.0
+    step = float(gaps.min())
+    return step if abs(np.exp(2j * np.pi * values / step).mean()) > ALIGNED else 0.0

@@ -23,9 +23,14 @@ MOST_OF_FORCE = 3.0
 
 
 def beside_healthy(library: Mapping[str, Effect]) -> dict[str, Effect]:
-    """The same effects; those that a healthy cell has already may have either sign."""
+    """The same effects, beside what was instead of what is stated; those that a healthy cell has already may have either sign."""
     changed = {"cable.friction": _friction, "cable.viscous": _drag, "probe.mass": _mass}
-    return {name: changed[name](effect) if name in changed else effect for name, effect in library.items()}
+    return {name: changed.get(name, _since)(effect) for name, effect in library.items()}
+
+
+def _since(effect: Effect) -> Effect:
+    what = effect.what.replace("than stated", "than while the cell was healthy").replace("not the stated one", "not what it was")
+    return replace(effect, what=what)
 
 
 def _friction(effect: Effect) -> Effect:

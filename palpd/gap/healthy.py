@@ -64,6 +64,8 @@ ROUNDS = 12
 """Rounds in which the variances of the weights are estimated."""
 RUBS = ("direction", "reversal", "speed")
 """First words of the terms of fz that act against a motion."""
+LEAST_OTHER_WAY = 0.05
+"""Share of the rows that move the other way, below which a motion goes one way."""
 MOST_ERRORS = 24
 """Errors of the weights that count: those that change the prediction most."""
 
@@ -93,6 +95,11 @@ class _Motions:
         """Number of the interval of height (n,), 0 to INTERVALS - 1."""
         share = (z_m - self.heights_m[0]) / self.stroke_m
         return np.clip((INTERVALS * share).astype(int), 0, INTERVALS - 1)
+
+    def both_ways(self, motions: Sequence[MotionColumns]) -> bool:
+        """Whether they move up and down: else what rubs cannot be told from what depends on the height."""
+        speed, least = np.concatenate([motion["vz_m_per_s"] for motion in motions]), TURNS[-1] * self.largest_m_per_s
+        return min(float(np.mean(speed > least)), float(np.mean(speed < -least))) > LEAST_OTHER_WAY
 
     def known(self, motion: MotionColumns) -> NDArray[np.bool_]:
         """Whether a motion stays within the healthy ones (n,)."""
@@ -196,7 +203,7 @@ class HealthyCell:
             if channel != Z or float(learned.unexplained.max()) < MOST_OF_STROKE * empty.motions.stroke_m:
                 weights[channel] = learned
         learned_cell = replace(empty, weights=weights)
-        if FZ not in weights:
+        if FZ not in weights or not empty.motions.both_ways(motions):
             return learned_cell
         rubbing_N = [learned_cell.own_friction_N(motion) for motion in motions]
         return replace(learned_cell, friction_N=float(np.quantile(np.abs(np.concatenate(rubbing_N)), 0.9)))

@@ -16,6 +16,7 @@ from palpd.cell.cell_file import CellFile
 from palpd.cell.effects import Effect
 from palpd.gap.beside_healthy import beside_healthy
 from palpd.gap.data.observations import observe
+from palpd.gap.data.recorded_noise import with_healthy_sensor
 from palpd.gap.healthy import HealthyCell
 from palpd.gap.infer.posterior import posterior, single_odds
 from palpd.gap.infer.search import search
@@ -65,7 +66,8 @@ class HealthyReference:
             RecordingError: The recordings cannot be judged.
         """
         with threadpool_limits(1):  # as in a diagnosis
-            usual = UsualChanges.of(healthy, HealthyCell.of(healthy, cell, beside_healthy(library)))
+            learned = HealthyCell.of(healthy, with_healthy_sensor(healthy, cell), beside_healthy(library))
+            usual = UsualChanges.of(healthy, learned)
             return HealthyReference(usual, _habits(usual))
 
     def simulator(self, now: Samples) -> UserSimulator:

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
+from palpd.cell.effects import Scale
+from palpd.cell.simulation import scale_of
 from palpd.gap.data.noise import FZ, declared_rms
 from palpd.gap.healthy import BLOCK_S, HealthyCell, means_between, neighbours_alike
 from palpd.gap.model.coordinates import start_values
@@ -88,9 +90,9 @@ class ComparedRecording:
     kinds: Mapping[str, int]
 
     @staticmethod
-    def of(recording: Samples, others: HealthyCell) -> "ComparedRecording":
-        """Compare a healthy recording."""
-        problem = make_problem([recording], others.compared_cell, others.library, simulators=[others.simulator()])
+    def of(recording: Samples, others: HealthyCell, scale: Scale) -> "ComparedRecording":
+        """Compare a healthy recording; the sizes of changes are multiples of `scale`."""
+        problem = make_problem([recording], others.compared_cell, others.library, scale=scale, simulators=[others.simulator()])
         simulated = problem.recordings[0].simulated
         assert simulated is not None
         assert simulated.doubt is not None  # it was learned
@@ -108,6 +110,7 @@ class UsualChanges:
 
     Attributes:
         compared: Each healthy recording against the others.
+        scale: What the typical sizes of changes are multiples of, in any recording: that of the longest healthy one.
         spread: Standard deviations (k,) of each effect, as shares of its k typical sizes, by its id.
         lasting: Factor on the rms of the residual, since neighbours are off alike.
         squares: Usual squares (2,) of the residual over what was learned, as `ComparedRecording` has them, and the largest usual ones.
@@ -115,6 +118,7 @@ class UsualChanges:
 
     healthy: HealthyCell
     compared: tuple[ComparedRecording, ...]
+    scale: Scale
     spread: Mapping[str, Floats]
     lasting: float
     squares: tuple[Floats, Floats]
@@ -122,11 +126,14 @@ class UsualChanges:
     @staticmethod
     def of(recordings: Sequence[Samples], healthy: HealthyCell) -> "UsualChanges":
         """Compare each healthy recording with what was learned from the others; a single one with what was learned from itself."""
+        longest = max(recordings, key=lambda one: one.duration_s)
+        scale = scale_of(healthy.cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, FZ - 1])
         compared = []
         for one in recordings[:: -(-len(recordings) // MOST_HEALTHY)]:
             others = [other for other in recordings if other is not one]
-            compared.append(ComparedRecording.of(one, HealthyCell.of(others, healthy.cell, healthy.library) if others else healthy))
-        return UsualChanges._seen_in(tuple(compared), healthy, len(compared))
+            learned = HealthyCell.of(others, healthy.cell, healthy.library) if others else healthy
+            compared.append(ComparedRecording.of(one, learned, scale))
+        return UsualChanges._seen_in(tuple(compared), healthy, scale, len(compared))
 
     def alike(self) -> dict[tuple[str, str], float]:
         """How alike the changes of two effects are in these recordings, by their ids: the largest square of a cosine."""
@@ -138,10 +145,10 @@ class UsualChanges:
 
     def without(self, one: ComparedRecording) -> "UsualChanges":
         """What the other recordings show, of what was learned from them, and believed as far as that of all."""
-        return UsualChanges._seen_in(tuple(each for each in self.compared if each is not one), one.others, len(self.compared))
+        return UsualChanges._seen_in(tuple(each for each in self.compared if each is not one), one.others, self.scale, len(self.compared))
 
     @staticmethod
-    def _seen_in(compared: tuple[ComparedRecording, ...], healthy: HealthyCell, recordings: int) -> "UsualChanges":
+    def _seen_in(compared: tuple[ComparedRecording, ...], healthy: HealthyCell, scale: Scale, recordings: int) -> "UsualChanges":
         lefts = [one.left for one in compared]
         # Of few recordings the spread may be larger than they show.
         k, squares = max(recordings, 2), np.log(np.maximum([one.squares for one in compared], 1e-6))
@@ -155,9 +162,8 @@ class UsualChanges:
         spread = _spread(seen, noise, np.mean([one.overlap for one in compared], axis=0))
         kinds = compared[0].kinds
         edges = np.cumsum(list(kinds.values()))[:-1]
-        return UsualChanges(
-            healthy, compared, dict(zip(kinds, np.split(spread, edges), strict=True)), lasting, (np.exp(usual), np.exp(usual + apart))
-        )
+        by_effect = dict(zip(kinds, np.split(spread, edges), strict=True))
+        return UsualChanges(healthy, compared, scale, by_effect, lasting, (np.exp(usual), np.exp(usual + apart)))
 
     def allowed(self, simulator: UserSimulator, now: Samples, habits: Mapping[str, float] | None = None) -> UserSimulator:
         """The simulator of a healthy cell, for which what is usual is no change.
@@ -167,7 +173,7 @@ class UsualChanges:
             now: The recording that is compared.
             habits: What effects cost beyond the least price, by id (`healthy_reference`); None: nothing costs anything.
         """
-        problem = make_problem([now], self.healthy.compared_cell, self.healthy.library, simulators=[simulator])
+        problem = make_problem([now], self.healthy.compared_cell, self.healthy.library, scale=self.scale, simulators=[simulator])
         whole = self.healthy.doubt(asked(problem.recordings[0].sampled, now.z_cmd_m))  # that of `simulator` may begin with an onset
         changes = dict(_changes(problem))
         usual = [share * change for name, each in changes.items() for share, change in zip(self.spread[name], each, strict=True)]

@@ -9,6 +9,7 @@ import pytest
 
 import palpd
 from palpd.cell.effects import EFFECTS
+from palpd.cell.tip_motion import estimate_tip_motion
 from palpd.cli.application import one_file_each
 from palpd.errors import BadInput, RecordingError
 from palpd.gap.commands import diagnose_files, since_healthy
@@ -16,6 +17,7 @@ from palpd.gap.diagnosis import Diagnosis, diagnose
 from palpd.gap.healthy import HealthyCell
 from palpd.gap.healthy_reference import HealthyReference
 from palpd.gap.plain import plain_answer
+from palpd.gap.user_simulator import asked
 from palpd.gap.usual import _spread
 from palpd.recording.samples import Samples, write_csv
 from palpd.tick import Floats
@@ -216,3 +218,44 @@ def test_changes_that_look_alike_share_what_is_usual() -> None:
     assert spread[0] == pytest.approx(spread[1], rel=1e-9)
     assert spread[0] ** 2 + spread[1] ** 2 == pytest.approx(4.0, rel=1e-6), "together they explain what was seen"
     assert spread[2] == 0.0, "noise explains it"
+
+
+def test_what_is_usual_is_as_large_in_a_recording_of_small_forces(reference: HealthyReference) -> None:
+    """Sizes were multiples of the forces that are compared: a sensor at its limit, in proportion, hid that friction had halved."""
+    now = record(rig, seed=43)
+    weak = replace(now, wrench=0.3 * now.wrench)
+    motion = asked(estimate_tip_motion(reference.learned.cell, now.t_s, now.z_m, now.vz_m_per_s, now.z_cmd_m), now.z_cmd_m)
+    learned = reference.learned.simulator()
+    errors = [np.square(reference.usual.allowed(learned, one).doubt(motion).errors).sum(axis=0) for one in (now, weak)]  # type: ignore[misc]
+    np.testing.assert_allclose(errors[0], errors[1])
+
+
+@pytest.mark.parametrize(("worse", "name"), [("coarser", "sensor.quantization"), ("noisier", "sensor.noise")])
+def test_a_sensor_that_became_worse_is_named_and_one_that_always_was_is_healthy(reference: HealthyReference, worse: str, name: str) -> None:
+    """A cell file that states no noise took that of the new recording: three times as noisy was no gap, with a probability of 1."""
+
+    def today(seed: int) -> Samples:
+        wrench, rng = record(rig, seed=seed).wrench.copy(), np.random.default_rng(seed + 100)
+        if worse == "coarser":
+            wrench[:, 2] = 0.3 * np.rint(wrench[:, 2] / 0.3)
+        else:
+            wrench += rng.standard_normal(wrench.shape) * 0.14 * np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
+        return replace(record(rig, seed=seed), wrench=wrench)
+
+    answer = changed(today(41), reference)
+    assert [effect.id for effect in answer.effects] == [name], answer.sentence
+    assert "than while the cell was healthy" in answer.sentence
+    always = changed(today(41), HealthyReference.of([today(seed) for seed in (11, 12, 13)], stated(), EFFECTS))
+    assert always.verdict == "none", always.sentence
+
+
+def test_a_cell_that_only_presses_has_no_friction_of_its_own() -> None:
+    """What goes one way cannot tell friction from what depends on the height: its curve then fitted a foam twenty times as hard."""
+    both = [record(rig, seed=seed) for seed in (11, 12)]
+    assert HealthyCell.of(both, stated(), EFFECTS).simulator().parameters
+    down = []
+    for one in both:
+        n = int(np.argmin(one.z_m))
+        assert one.z_cmd_m is not None
+        down.append(Samples(one.t_s[:n], one.z_cmd_m[:n], np.minimum.accumulate(one.z_m)[:n], -np.abs(one.vz_m_per_s[:n]), one.wrench[:n]))
+    assert not HealthyCell.of(down, stated(), EFFECTS).simulator().parameters

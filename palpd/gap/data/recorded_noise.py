@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpd.cell.cell_file import CellFile
-from palpd.cell.lattice import lattice_step
+from palpd.cell.lattice import finest_step, lattice_step
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import FX, FY, FZ, TX, TY, TZ
 from palpd.gap.data.phases import FREE_STILL, HOLDING, find_phases
@@ -45,6 +45,18 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
     values = ", ".join(f"{key} {value:.3g}" for key, value in measured.items())
     note = f"the cell file does not state all noise and resolution, so the recording's own count: {values}."
     return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=measured)}), far, [note]
+
+
+def with_healthy_sensor(recordings: Sequence[Samples], cell: CellFile) -> CellFile:
+    """A healthy cell whose sensor is as noisy and as coarse as its recordings show; of what its file states the larger counts."""
+    rests = [_rests(find_phases(samples, cell).phase) for samples in recordings]
+    ranges = {key: _noise_range(recordings, rests, channels) for key, channels in NOISE.items()}
+    shown = {key: (low * high) ** 0.5 for key, (low, high) in ((key, pair) for key, pair in ranges.items() if pair is not None)}
+    shown |= {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
+    shown["resolution_fz_N"] = max(shown["resolution_fz_N"], *(finest_step(samples.wrench[:, FZ - 1]) for samples in recordings))
+    stated = {key: getattr(cell.sensor, key) for key in cell.sensor.model_fields_set & shown.keys()}
+    sensor = {key: max(value, stated.get(key, 0.0)) for key, value in shown.items()}
+    return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=sensor)})
 
 
 def noise_of_fz_N(recordings: Sequence[Samples], cell: CellFile) -> float:
