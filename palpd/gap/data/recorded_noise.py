@@ -48,14 +48,19 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
 
 
 def with_healthy_sensor(recordings: Sequence[Samples], cell: CellFile) -> CellFile:
-    """A healthy cell whose sensor is as noisy and as coarse as its recordings show; of what its file states the larger counts."""
+    """A healthy cell whose sensor is as noisy and as coarse as its recordings show.
+
+    What its file states counts where it is larger, and where the cell never rests: noise of readings in motion is only estimated.
+    """
     rests = [_rests(find_phases(samples, cell).phase) for samples in recordings]
-    ranges = {key: _noise_range(recordings, rests, channels) for key, channels in NOISE.items()}
-    shown = {key: (low * high) ** 0.5 for key, (low, high) in ((key, pair) for key, pair in ranges.items() if pair is not None)}
-    shown |= {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
+    resting, stated = all(rest is not None for rest in rests), cell.sensor.model_fields_set
+    shown = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
     shown["resolution_fz_N"] = max(shown["resolution_fz_N"], *(finest_step(samples.wrench[:, FZ - 1]) for samples in recordings))
-    stated = {key: getattr(cell.sensor, key) for key in cell.sensor.model_fields_set & shown.keys()}
-    sensor = {key: max(value, stated.get(key, 0.0)) for key, value in shown.items()}
+    for key, channels in NOISE.items():
+        pair = _noise_range(recordings, rests, channels)
+        if pair is not None and (resting or key not in stated):
+            shown[key] = (pair[0] * pair[1]) ** 0.5
+    sensor = {key: max(value, getattr(cell.sensor, key) if key in stated else 0.0) for key, value in shown.items()}
     return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=sensor)})
 
 
