@@ -10,6 +10,12 @@ ALIGNED = 0.9
 """Length of the mean of the phases of readings within a step, 1 if all are multiples of it but for one constant."""
 
 
+def gaps_between(levels: Floats) -> Floats:
+    """Distances (m,) of neighbouring levels (n,), which ascend; one level may have two values that differ in the last bits."""
+    gaps = np.diff(levels)
+    return np.asarray(gaps[gaps > 1e-6 * np.ptp(levels)])
+
+
 def lattice_step(values: Floats) -> float:
     """The step to whose multiples readings are rounded.
 
@@ -24,8 +30,7 @@ def lattice_step(values: Floats) -> float:
     unique = np.unique(values)
     if len(unique) < 3 or len(unique) > 0.2 * len(values):
         return 0.0
-    gaps = np.diff(unique)
-    gaps = gaps[gaps > 1e-6 * np.ptp(unique)]
+    gaps = gaps_between(unique)
     if len(gaps) < 2:
         return float(gaps[0]) if len(gaps) else 0.0
     step, other = float(np.quantile(gaps, 0.1)), float(np.median(gaps))
@@ -49,8 +54,7 @@ def finest_step(values: Floats) -> float:
     Returns:
         The step in the unit of the readings; 0 if there is none.
     """
-    gaps = np.diff(np.unique(values))
-    gaps = gaps[gaps > 1e-6 * np.ptp(values)]
+    gaps = gaps_between(np.unique(values))
     if len(gaps) < 2:
         return 0.0
     step = float(gaps.min())

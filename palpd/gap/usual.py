@@ -13,11 +13,10 @@ import numpy as np
 from scipy.special import ndtr, stdtrit
 
 from palpd.cell.effects import Scale
-from palpd.cell.simulation import scale_of
 from palpd.gap.data.noise import FZ, declared_rms
 from palpd.gap.healthy import BLOCK_S, HealthyCell, means_between, neighbours_alike
 from palpd.gap.model.coordinates import start_values
-from palpd.gap.model.problem import Problem, make_problem
+from palpd.gap.model.problem import Problem, make_problem, scale_of_longest
 from palpd.gap.user_simulator import MotionColumns, SimulatorDoubt, UserSimulator, asked
 from palpd.recording.samples import Samples
 from palpd.tick import Floats
@@ -126,9 +125,7 @@ class UsualChanges:
     @staticmethod
     def of(recordings: Sequence[Samples], healthy: HealthyCell) -> "UsualChanges":
         """Compare each healthy recording with what was learned from the others; a single one with what was learned from itself."""
-        longest = max(recordings, key=lambda one: one.duration_s)
-        scale = scale_of(healthy.cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, FZ - 1])
-        compared = []
+        scale, compared = scale_of_longest(recordings, healthy.cell), []
         for one in recordings[:: -(-len(recordings) // MOST_HEALTHY)]:
             others = [other for other in recordings if other is not one]
             learned = HealthyCell.of(others, healthy.cell, healthy.library) if others else healthy

@@ -235,12 +235,13 @@ def test_a_sensor_that_became_worse_is_named_and_one_that_always_was_is_healthy(
     """A cell file that states no noise took that of the new recording: three times as noisy was no gap, with a probability of 1."""
 
     def today(seed: int) -> Samples:
-        wrench, rng = record(rig, seed=seed).wrench.copy(), np.random.default_rng(seed + 100)
+        plain, rng = record(rig, seed=seed), np.random.default_rng(seed + 100)
+        wrench = plain.wrench.copy()
         if worse == "coarser":
             wrench[:, 2] = 0.3 * np.rint(wrench[:, 2] / 0.3)
         else:
             wrench += rng.standard_normal(wrench.shape) * 0.14 * np.array([1.0, 1.0, 1.0, 0.02, 0.02, 0.02])
-        return replace(record(rig, seed=seed), wrench=wrench)
+        return replace(plain, wrench=wrench)
 
     answer = changed(today(41), reference)
     assert [effect.id for effect in answer.effects] == [name], answer.sentence

@@ -1,6 +1,7 @@
 """Noise and resolution of a sensor as its recordings show them, for what the cell file does not state."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,18 +28,14 @@ def with_recorded_noise(recordings: Sequence[Samples], cell: CellFile) -> tuple[
         The cell with every value stated; a sentence for each value that is stated and far from the recorded one; a sentence with the
         recorded values, if there are any.
     """
-    resolution = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
-    rests = [_rests(find_phases(samples, cell).phase) for samples in recordings]
-    resting = all(rest is not None for rest in rests)
-    ranges = {key: _noise_range(recordings, rests, channels) for key, channels in NOISE.items()}
-    stated = cell.sensor.model_fields_set
-    measured: dict[str, float] = {key: step for key, step in resolution.items() if key not in stated}
+    shown, stated = _shown(recordings, cell), cell.sensor.model_fields_set
+    measured: dict[str, float] = {key: step for key, step in shown.steps.items() if key not in stated}
     far = []
-    for key, (low, high) in ((key, shown) for key, shown in ranges.items() if shown is not None):
+    for key, (low, high) in shown.noise.items():
         rms, before = (low * high) ** 0.5, float(getattr(cell.sensor, key))
         if key not in stated:
             measured[key] = rms
-        elif resting and not low / ASSUMED.noise.far_from_stated <= before <= high * ASSUMED.noise.far_from_stated and before > 0.0:
+        elif shown.resting and not low / ASSUMED.noise.far_from_stated <= before <= high * ASSUMED.noise.far_from_stated and before > 0.0:
             far.append(f"sensor.{key} is {before:.3g} and the recording shows {rms:.3g}, expected within a factor of 5; correct it.")
     if not measured:
         return cell, far, []
@@ -52,16 +49,29 @@ def with_healthy_sensor(recordings: Sequence[Samples], cell: CellFile) -> CellFi
 
     What its file states counts where it is larger, and where the cell never rests: noise of readings in motion is only estimated.
     """
-    rests = [_rests(find_phases(samples, cell).phase) for samples in recordings]
-    resting, stated = all(rest is not None for rest in rests), cell.sensor.model_fields_set
-    shown = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
-    shown["resolution_fz_N"] = max(shown["resolution_fz_N"], *(finest_step(samples.wrench[:, FZ - 1]) for samples in recordings))
-    for key, channels in NOISE.items():
-        pair = _noise_range(recordings, rests, channels)
-        if pair is not None and (resting or key not in stated):
-            shown[key] = (pair[0] * pair[1]) ** 0.5
-    sensor = {key: max(value, getattr(cell.sensor, key) if key in stated else 0.0) for key, value in shown.items()}
+    shown, stated = _shown(recordings, cell), cell.sensor.model_fields_set
+    sensor = dict(shown.steps)
+    sensor["resolution_fz_N"] = max(sensor["resolution_fz_N"], *(finest_step(samples.wrench[:, FZ - 1]) for samples in recordings))
+    sensor |= {key: (low * high) ** 0.5 for key, (low, high) in shown.noise.items() if shown.resting or key not in stated}
+    sensor = {key: max(value, getattr(cell.sensor, key) if key in stated else 0.0) for key, value in sensor.items()}
     return cell.model_copy(update={"sensor": cell.sensor.model_copy(update=sensor)})
+
+
+class _Shown(NamedTuple):
+    """Steps, least and largest noise of a reading by key of the sensor block, in its unit; and whether every recording rests somewhere."""
+
+    steps: dict[str, float]
+    noise: dict[str, tuple[float, float]]
+    resting: bool
+
+
+def _shown(recordings: Sequence[Samples], cell: CellFile) -> _Shown:
+    """What recordings show of a sensor; noise is absent without a live axis."""
+    rests = [_rests(find_phases(samples, cell).phase) for samples in recordings]
+    ranges = ((key, _noise_range(recordings, rests, channels)) for key, channels in NOISE.items())
+    noise = {key: pair for key, pair in ranges if pair is not None}
+    steps = {key: _step(recordings, channels) for key, channels in RESOLUTION.items()}
+    return _Shown(steps, noise, all(rest is not None for rest in rests))
 
 
 def noise_of_fz_N(recordings: Sequence[Samples], cell: CellFile) -> float:

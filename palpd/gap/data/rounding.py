@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from palpd.cell.cell_file import CellFile
+from palpd.cell.lattice import gaps_between
 from palpd.gap.assumptions import ASSUMED
 from palpd.gap.data.noise import pure_rms, resolutions
 from palpd.recording.oddities import measured_rms
@@ -163,8 +164,7 @@ def coarse_step_N(samples: Samples, cell: CellFile) -> float:
     values, rows = np.unique(samples.wrench[:, 2], return_counts=True)
     if len(values) < 3 or len(values) > 0.2 * rows[1:-1].sum():  # a sensor at its limit repeats that, however fine its steps are
         return 0.0
-    gaps = np.diff(values)
-    gaps = gaps[gaps > 1e-6 * np.ptp(values)]  # one level may have two values that differ in the last bits
+    gaps = gaps_between(values)
     gap = float(np.median(gaps))
     gap = float(np.mean(gaps[gaps < 1.75 * gap]))  # readings that are also rounded to the stated step have gaps of two sizes
     stated = cell.sensor.resolution_fz_N

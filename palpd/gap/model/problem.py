@@ -296,6 +296,12 @@ def return_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
+def scale_of_longest(recordings: Sequence[Samples], cell: CellFile) -> Scale:
+    """The scale of several recordings of a cell: that of the longest one."""
+    longest = max(recordings, key=lambda samples: samples.duration_s)
+    return scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2])
+
+
 def problem_of(observations: Observations, library: Mapping[str, Effect]) -> Problem:
     """The problem that a diagnosis solves.
 
@@ -337,7 +343,6 @@ def _problem(
     scale: Scale | None = None,
     excess_noise: bool = False,
 ) -> Problem:
-    longest = max((recording.samples for recording in recordings), key=lambda samples: samples.duration_s)
     errors = tuple(servo_errors(recording, cell, library) for recording in recordings)
     noise = _whitening(cell, recordings, rounding, errors)
     return Problem(
@@ -345,7 +350,7 @@ def _problem(
         recordings=recordings,
         library=library,
         rounding=rounding,
-        scale=scale or scale_of(cell, longest.t_s, longest.z_m, longest.vz_m_per_s, longest.wrench[:, 2]),
+        scale=scale or scale_of_longest([recording.samples for recording in recordings], cell),
         shared_sd=_shared_sd(cell),
         servo_errors=errors,
         excess_noise=excess_noise,
